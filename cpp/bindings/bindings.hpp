@@ -1,0 +1,14 @@
+// SPDX-License-Identifier: MIT
+#pragma once
+
+#include <pybind11/operators.h>
+#include <pybind11/stl.h>
+#include <torch/extension.h>
+
+namespace ajna::bindings {
+
+void bind_base(pybind11::module_& m);  ///< version, Error translation
+void bind_nn(pybind11::module_& m);
+void bind_loss(pybind11::module_& m);
+
+}  // namespace ajna::bindings

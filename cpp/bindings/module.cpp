@@ -1,0 +1,9 @@
+// SPDX-License-Identifier: MIT
+#include "bindings.hpp"
+
+PYBIND11_MODULE(_core, m) {
+  m.doc() = "Ajna's C++ core: network, loss, synthetic scenes, engine and file formats.";
+  ajna::bindings::bind_base(m);
+  ajna::bindings::bind_nn(m);
+  ajna::bindings::bind_loss(m);
+}
