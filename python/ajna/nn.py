@@ -1,0 +1,203 @@
+# SPDX-License-Identifier: MIT
+"""The network as an ordinary ``torch.nn.Module`` over the C++ implementation.
+
+The layers, the padding and the forward pass exist once, in C++ (``ajna::nn::FlowNetImpl``). This module mirrors the
+tree of the C++ network by plain ``torch.nn.Module`` nodes that hold the *very same* tensors, so everything that works
+on a PyTorch module works here too: optimizers, ``state_dict``, ``.to``, ``deepcopy``, pickle, autocast and
+``DistributedDataParallel``.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from ajna import _core
+
+NetConfig = _core.NetConfig
+
+_DEFAULTS = NetConfig()
+_CONFIG_FIELDS = ("width", "expansion", "sub_blocks", "in_channels", "out_channels")
+
+
+class _Part(nn.Module):
+    """One node of the mirrored tree: the parameters, buffers and children of one C++ module."""
+
+    _core: Any
+    _path: str
+
+    def __init__(self, core: Any, path: str) -> None:
+        super().__init__()
+        self._core = core
+        self._path = path
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        # Also reached by train(), eval() and by tools that assign `training` directly (Lightning does).
+        if name == "training" and "_core" in self.__dict__:
+            self._core.set_training(self._path, bool(value))
+        super().__setattr__(name, value)
+
+    def forward(self, *args: Any, **kwargs: Any) -> Any:
+        raise RuntimeError(f"network part '{self._path}' only runs inside the whole network: call the FlowNet itself")
+
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> _Part:
+        if recurse:
+            for child in self.children():
+                child._apply(fn)
+        # Through .data: a replaced tensor would leave the C++ side with the old storage.
+        with torch.no_grad():
+            for name, tensor in (*self._parameters.items(), *self._buffers.items()):
+                assert tensor is not None
+                moved = fn(tensor)
+                if moved.is_meta:
+                    raise RuntimeError(
+                        f"parameter '{name}' cannot move to the meta device: the C++ network needs storage"
+                    )
+                if tensor.grad is not None:
+                    grad = fn(tensor.grad)
+                    tensor.grad = None  # a gradient must agree with its parameter's dtype and device
+                    tensor.data = moved
+                    tensor.grad = grad
+                else:
+                    tensor.data = moved
+        return self
+
+    def _load_from_state_dict(self, state_dict: Any, prefix: str, local_metadata: Any, *args: Any) -> None:
+        # assign=True would replace tensors; copying gives the same values and keeps both sides one storage.
+        local_metadata = {**local_metadata, "assign_to_params_buffers": False}
+        super()._load_from_state_dict(state_dict, prefix, local_metadata, *args)
+
+
+class FlowNet(_Part):
+    """The residual encoder-decoder of the paper; defaults give its 2,724,980 parameters.
+
+    Called with ``x`` [N, in_channels, H, W], floating point in [-1, 1] (see :func:`network_input`), any H and W, it
+    returns [N, out_channels, H, W]: u, v in training units (multiply by the checkpoint's ``flow_scale`` for pixels),
+    then the raw uncertainty of u and of v. The GIL is released while the network runs.
+
+    Hooks work on the network as a whole, not on its parts; parts hold parameters but are not callable.
+    ``torch.func.functional_call`` and parametrizations replace parameters and are refused at the next forward pass.
+
+    Args:
+        width: channels after the first convolution, even, 2 to 1024.
+        expansion: channel factor of each further down-sampling, 1 to 4.
+        sub_blocks: residual block and down-sampling pairs after the stem, 0 to 4.
+        in_channels: channels of the input.
+        out_channels: channels of the output.
+
+    Raises:
+        ValueError: where an option is out of range, or at call time for an input of another shape or dtype.
+    """
+
+    def __init__(
+        self,
+        width: int = _DEFAULTS.width,
+        expansion: int = _DEFAULTS.expansion,
+        sub_blocks: int = _DEFAULTS.sub_blocks,
+        in_channels: int = _DEFAULTS.in_channels,
+        out_channels: int = _DEFAULTS.out_channels,
+    ) -> None:
+        config = NetConfig()
+        config.width, config.expansion, config.sub_blocks = width, expansion, sub_blocks
+        config.in_channels, config.out_channels = in_channels, out_channels
+        self._attach(_core.FlowNetCore(config))
+
+    @classmethod
+    def _from_core(cls, core: Any) -> FlowNet:
+        """Wrap an existing C++ network (for example a loaded one); both share it from then on."""
+        net = cls.__new__(cls)
+        net._attach(core)
+        return net
+
+    def _attach(self, core: Any) -> None:
+        _Part.__init__(self, core, "")
+        parts: dict[str, _Part] = {"": self}
+        for path in core.module_names():
+            if path:
+                parent, _, name = path.rpartition(".")
+                part = _Part(core, path)
+                parts[parent].add_module(name, part)
+                parts[path] = part
+                nn.Module.__setattr__(part, "training", core.is_training(path))
+        nn.Module.__setattr__(self, "training", core.is_training(""))
+        self._bound: list[tuple[dict[str, Any], str, Tensor]] = []
+        for path, tensor in core.named_parameters():
+            tensor._is_param = True  # what isinstance(tensor, nn.Parameter) asks for; the C++ leaf itself stays
+            self._bind(parts, path, tensor, buffer=False)
+        for path, tensor in core.named_buffers():
+            self._bind(parts, path, tensor, buffer=True)
+
+    def _bind(self, parts: dict[str, _Part], path: str, tensor: Tensor, buffer: bool) -> None:
+        parent, _, name = path.rpartition(".")
+        table = parts[parent]._buffers if buffer else parts[parent]._parameters
+        table[name] = tensor  # type: ignore[assignment]
+        self._bound.append((table, name, tensor))
+
+    @property
+    def config(self) -> NetConfig:
+        """The network's shape (a copy)."""
+        return self._core.config
+
+    def forward(self, x: Tensor) -> Tensor:
+        """[N, in_channels, H, W] floating point -> [N, out_channels, H, W]; see the class."""
+        for table, name, tensor in self._bound:
+            if table.get(name) is not tensor:
+                raise RuntimeError(
+                    f"parameter '{name}' of the network was replaced by another tensor: copy values in place "
+                    "(param.data.copy_) or use load_state_dict"
+                )
+        return self._core.forward(x)
+
+    def extra_repr(self) -> str:
+        return ", ".join(f"{field}={getattr(self.config, field)}" for field in _CONFIG_FIELDS)
+
+    def __repr__(self) -> str:
+        return f"FlowNet({self.extra_repr()})"
+
+    def __getstate__(self) -> dict[str, Any]:
+        own = {"_core", "_path", "_parameters", "_buffers", "_modules", "_bound", "training"}
+        return {
+            "tensors": {name: t.data for name, t in (*self.named_parameters(), *self.named_buffers())},
+            "grads": {name: p.grad for name, p in self.named_parameters() if p.grad is not None},
+            "frozen": [name for name, p in self.named_parameters() if not p.requires_grad],
+            "training": {name: part.training for name, part in self.named_modules()},
+            "attributes": {name: value for name, value in self.__dict__.items() if name not in own},
+        }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state["attributes"])
+        tensors = dict((*self.named_parameters(), *self.named_buffers()))
+        for name, tensor in tensors.items():
+            tensor.data = state["tensors"][name]
+            tensor.requires_grad_(tensor.requires_grad and name not in state["frozen"])
+        for name, grad in state["grads"].items():
+            tensors[name].grad = grad
+        for name, part in self.named_modules():
+            part.training = state["training"][name]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), tuple(getattr(self.config, field) for field in _CONFIG_FIELDS), self.__getstate__()
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> FlowNet:
+        constructor, arguments, state = self.__reduce__()
+        clone = constructor(*arguments)
+        memo[id(self)] = clone
+        # An optimizer that is copied together with the network must find the copied parameters.
+        mine, theirs = dict(self.named_parameters()), dict(clone.named_parameters())
+        memo.update({id(mine[name]): theirs[name] for name in mine})
+        clone.__setstate__(copy.deepcopy(state, memo))
+        return clone
+
+
+def count_parameters(module: nn.Module) -> int:
+    """Number of learnable scalars of ``module``."""
+    return sum(p.numel() for p in module.parameters())
+
+
+def count_macs(config: NetConfig, height: int, width: int) -> int:
+    """Multiply-accumulates of one forward pass at [height, width] (2 FLOP each)."""
+    return _core.count_macs(config, height, width)
