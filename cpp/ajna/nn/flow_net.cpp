@@ -162,6 +162,20 @@ std::int64_t count_parameters(const torch::nn::Module& module) {
   return count;
 }
 
+std::int64_t count_parameters(const NetConfig& config) {
+  check_config(config);
+  const LayerTable table = layer_table(config);
+  std::int64_t count = 0;
+  for (const auto* layers : {&table.encoder, &table.decoder}) {
+    for (const auto& layer : *layers) {
+      const std::int64_t c = layer.out_channels;
+      count += layer.is_residual() ? 2 * (9 * c * c + 3 * c)
+                                   : layer.kernel * layer.kernel * layer.in_channels * c + (layer.activated ? 3 * c : c);
+    }
+  }
+  return count;
+}
+
 std::int64_t count_macs(const NetConfig& config, std::int64_t height, std::int64_t width) {
   check_config(config);
   const std::int64_t stride = config.stride();

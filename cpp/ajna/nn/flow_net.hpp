@@ -66,6 +66,8 @@ TORCH_MODULE(FlowNet);
 
 /// Number of learnable parameters.
 std::int64_t count_parameters(const torch::nn::Module& module);
+/// The same for the network that `config` describes, without allocating it (its size may come from an untrusted file).
+std::int64_t count_parameters(const NetConfig& config);
 
 /// Multiply-accumulates of one forward pass over one [height, width] pair, counted from the convolutions of `config`
 /// (the paper counts 2 FLOP each: 6.33 GFLOP at 320x240).
