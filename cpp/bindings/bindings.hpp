@@ -10,5 +10,7 @@ namespace ajna::bindings {
 void bind_base(pybind11::module_& m);  ///< version, Error translation
 void bind_nn(pybind11::module_& m);
 void bind_loss(pybind11::module_& m);
+void bind_synth(pybind11::module_& m);
+void bind_checkpoint(pybind11::module_& m);  ///< network_input, checkpoints, TorchScript export
 
 }  // namespace ajna::bindings

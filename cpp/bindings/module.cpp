@@ -6,4 +6,6 @@ PYBIND11_MODULE(_core, m) {
   ajna::bindings::bind_base(m);
   ajna::bindings::bind_nn(m);
   ajna::bindings::bind_loss(m);
+  ajna::bindings::bind_synth(m);
+  ajna::bindings::bind_checkpoint(m);
 }

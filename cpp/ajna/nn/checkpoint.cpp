@@ -207,7 +207,8 @@ void save_checkpoint(const std::string& path, const FlowNetImpl& net, const Meta
     throw_invalid("checkpoint name '" + path + "': give a name that ends in .safetensors");
   }
   if (!(metadata.net == net.config())) {
-    throw_invalid("metadata of model '" + metadata.name + "' describe another network: set metadata.net to net.config()");
+    throw_invalid("metadata of model '" + metadata.name +
+                  "' describe another network: set metadata.net to net.config()");
   }
   metadata.table.check();
   NamedTensors content;

@@ -12,11 +12,11 @@ namespace ajna::nn {
 
 /// Everything besides the weights that is needed to run a trained network, and where it comes from.
 struct Metadata {
-  std::string name;         ///< for example "ajna-best"; not empty
-  NetConfig net;            ///< shape of the network
-  double flow_scale = 1.0;  ///< network output x flow_scale = pixels; finite, > 0
-  std::string loss;         ///< the loss it was trained with, one line, for people
-  UncertaintyTable table;   ///< what raw means
+  std::string name;                               ///< for example "ajna-best"; not empty
+  NetConfig net;                                  ///< shape of the network
+  double flow_scale = 1.0;                        ///< network output x flow_scale = pixels; finite, > 0
+  std::string loss;                               ///< the loss it was trained with, one line, for people
+  UncertaintyTable table;                         ///< what raw means
   std::map<std::string, std::string> provenance;  ///< data, steps, code version, date, scores ...: free text
 };
 

@@ -28,14 +28,14 @@ struct Dtype {
 };
 // BOOL is left out: a stored byte other than 0 and 1 would be an invalid C++ bool, and nothing here needs it.
 constexpr std::array<Dtype, 9> kDtypes{{{"F64", torch::kFloat64},
-                                         {"F32", torch::kFloat32},
-                                         {"F16", torch::kFloat16},
-                                         {"BF16", torch::kBFloat16},
-                                         {"I64", torch::kInt64},
-                                         {"I32", torch::kInt32},
-                                         {"I16", torch::kInt16},
-                                         {"I8", torch::kInt8},
-                                         {"U8", torch::kUInt8}}};
+                                        {"F32", torch::kFloat32},
+                                        {"F16", torch::kFloat16},
+                                        {"BF16", torch::kBFloat16},
+                                        {"I64", torch::kInt64},
+                                        {"I32", torch::kInt32},
+                                        {"I16", torch::kInt16},
+                                        {"I8", torch::kInt8},
+                                        {"U8", torch::kUInt8}}};
 
 std::uint64_t open_checked(const std::string& path, std::ifstream& stream) {
   std::error_code failure;
@@ -90,8 +90,8 @@ void check_layout(const SafetensorsHeader& header, std::uint64_t data_bytes) {
   });
   std::uint64_t cursor = 0;
   for (const auto& [name, entry] : order) {
-    const std::string span = "tensor '" + *name + "' lies at bytes " + std::to_string(entry->begin) + " to " +
-                             std::to_string(entry->end);
+    const std::string span =
+        "tensor '" + *name + "' lies at bytes " + std::to_string(entry->begin) + " to " + std::to_string(entry->end);
     if (entry->begin > entry->end) {
       throw_invalid(span + ", which is backwards");
     }
@@ -114,7 +114,8 @@ void check_layout(const SafetensorsHeader& header, std::uint64_t data_bytes) {
 
 SafetensorsHeader read_header(std::ifstream& stream, std::uint64_t file_bytes, std::uint64_t& data_start) {
   if (file_bytes < kLengthBytes + 2) {
-    throw_invalid(file_bytes == 0 ? "the file is empty" : "the file is only " + std::to_string(file_bytes) + " bytes long");
+    throw_invalid(file_bytes == 0 ? "the file is empty"
+                                  : "the file is only " + std::to_string(file_bytes) + " bytes long");
   }
   std::array<unsigned char, kLengthBytes> prefix{};
   stream.read(reinterpret_cast<char*>(prefix.data()), kLengthBytes);

@@ -17,8 +17,8 @@ struct NamedTensors {
 /// Read a safetensors file into CPU tensors. Never executes code and never allocates beyond the file's own size.
 ///
 /// Throws Error(kFileNotFound) for a missing file, and Error(kInvalidArgument) with one sentence for a folder, an
-/// empty, foreign or truncated file, a header that lies about sizes, gaps or overlaps of tensors, empty tensors, and dtypes other
-/// than F64, F32, F16, BF16, I64, I32, I16, I8 and U8.
+/// empty, foreign or truncated file, a header that lies about sizes, gaps or overlaps of tensors, empty tensors, and
+/// dtypes other than F64, F32, F16, BF16, I64, I32, I16, I8 and U8.
 NamedTensors read_safetensors(const std::string& path);
 
 /// Write atomically; tensors are copied to the CPU and made contiguous. Other programs' safetensors readers accept the
