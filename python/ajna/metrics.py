@@ -9,7 +9,7 @@ mixed in a ``torchmetrics.MetricCollection`` that is fed by keyword::
 
 Shapes and units: ``prediction`` and ``target`` are [N, 2, H, W] in pixels; ``uncertainty`` is [N, 2, H, W] (its
 2-norm over the axes is scored), [N, 1, H, W] or [N, H, W]; ``valid`` and ``occlusion`` are boolean [N, H, W] or
-[N, 1, H, W]. Pixels whose target is not finite or at least 1e9 in magnitude (Middlebury's "unknown") are never
+[N, 1, H, W]. Pixels whose target is not finite or beyond 1e9 in magnitude (Middlebury's "unknown") are never
 scored; values in unscored pixels, NaN included, have no effect.
 
 Averaging: every figure is the **mean over images of a per-image figure**, so that a dense and a sparse image count the
@@ -28,7 +28,7 @@ import torch
 from torch import Tensor
 from torchmetrics import Metric
 
-UNKNOWN_FLOW = 1e9  # Middlebury: magnitudes from here on mean "no ground truth"
+UNKNOWN_FLOW = 1e9  # Middlebury: components beyond mean "no ground truth"
 
 Average = Literal["image", "pixel"]
 
@@ -184,7 +184,7 @@ def _scored(prediction: Tensor, target: Tensor, valid: Tensor | None) -> Tensor:
         raise ValueError(
             f"prediction {tuple(prediction.shape)} and target {tuple(target.shape)} must both be [N, 2, H, W]."
         )
-    known = (target.abs() < UNKNOWN_FLOW).all(dim=1)  # false for NaN and Inf, too
+    known = (target.abs() <= UNKNOWN_FLOW).all(dim=1)  # false for NaN and Inf, too
     return known if valid is None else known & _check_map("valid", valid, known).bool()
 
 
