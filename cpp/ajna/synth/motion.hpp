@@ -1,0 +1,51 @@
+// SPDX-License-Identifier: MIT
+#pragma once
+
+#include <torch/torch.h>
+
+#include "ajna/synth/random.hpp"
+#include "ajna/synth/scene_config.hpp"
+
+namespace ajna::synth {
+
+/// A pair of coordinate planes in pixels.
+struct Points {
+  torch::Tensor x, y;
+};
+
+/// How R layers move from frame 1 to frame 2. Frame 1 shows each layer in its canonical coordinates; with the
+/// homography G and the smooth wave field n,
+///   frame 2 -> frame 1:  q = G^-1 y,  x = q + n(q)
+///   frame 1 -> frame 2:  q + n(q) = x by fixed-point iteration (|grad n| <= kMaxGradient), y = G q.
+struct LayerMotion {
+  static constexpr double kMaxGradient = 0.3;
+  static constexpr int kIterations = 16;  // 0.3^16 = 4e-9 of the amplitude: below float32 rounding
+
+  torch::Tensor forward;     ///< G, [R, 9]
+  torch::Tensor backward;    ///< G^-1, [R, 9]
+  torch::Tensor waves;       ///< [R, K, 5]: amplitude x, y; frequency x, y (rad/px); phase
+  bool projective = false;   ///< some G has a perspective part
+  bool nonrigid = false;     ///< some wave has an amplitude
+
+  /// Where points of frame 2 were in frame 1: [R, H, W] or broadcastable planes in, [R, H, W] out.
+  [[nodiscard]] Points to_frame1(const Points& y) const;
+  /// Where points of frame 1 go in frame 2. Row r of the planes belongs to row r of the parameters.
+  [[nodiscard]] Points to_frame2(const Points& x) const;
+
+  /// The motion of one chosen row per pixel: `row` int64 [B, H, W] picks among the L rows of each scene.
+  /// Rows are ordered [B * L]. The result's parameters have one value per pixel.
+  [[nodiscard]] LayerMotion per_pixel(const torch::Tensor& row, std::int64_t layers) const;
+  [[nodiscard]] LayerMotion slice(std::int64_t begin, std::int64_t end, const torch::Device& device) const;
+};
+
+/// Sizes and places of the layers of B scenes; row 0 of each scene is the background.
+struct LayerPlacement {
+  torch::Tensor center_x, center_y;  ///< [B, L], pixels
+  torch::Tensor radius;              ///< [B, L], pixels
+};
+
+/// Draw the motions of B scenes with L layers each, rows ordered [B * L], nearest layer last.
+LayerMotion draw_motion(const SceneConfig& config, const LayerPlacement& placement, std::int64_t height,
+                        std::int64_t width, Random& random);
+
+}  // namespace ajna::synth

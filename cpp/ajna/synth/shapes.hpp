@@ -1,0 +1,34 @@
+// SPDX-License-Identifier: MIT
+#pragma once
+
+#include <torch/torch.h>
+
+#include "ajna/synth/random.hpp"
+#include "ajna/synth/scene_config.hpp"
+
+namespace ajna::synth {
+
+/// The outlines of R layers as signed distances in local units (1 = layer radius), positive inside.
+///
+/// Blobs, polygons and plates are kept as rasters that are sampled bilinearly; bars, whose ridge a raster would lose,
+/// are evaluated as distances to line segments.
+class ShapeSet {
+ public:
+  ShapeSet(const SceneConfig& config, std::int64_t rows, Random& random);
+
+  /// Signed distance at local coordinates x, y: float [R, H, W] -> [R, H, W].
+  [[nodiscard]] torch::Tensor signed_distance(const torch::Tensor& x, const torch::Tensor& y) const;
+
+  /// The shapes of rows [begin, end), on `device`.
+  [[nodiscard]] ShapeSet slice(std::int64_t begin, std::int64_t end, const torch::Device& device) const;
+
+ private:
+  ShapeSet() = default;
+
+  torch::Tensor raster_;    // [R, Q, Q] over [-kExtent, kExtent]^2
+  torch::Tensor is_bar_;    // bool [R]
+  torch::Tensor segments_;  // [R, S, 4]: x0, y0, x1, y1
+  torch::Tensor radius_;    // [R, S]: half thickness of each segment
+};
+
+}  // namespace ajna::synth
