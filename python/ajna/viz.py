@@ -190,12 +190,15 @@ class _Canvas:
         box = (x / self.width, 1 - (y + height) / self.height, width / self.width, height / self.height)
         return self.figure.add_axes(box)
 
-    def text(self, x: float, y: float, text: str, **style: Any) -> None:
-        self.figure.text(x / self.width, 1 - y / self.height, text, fontsize=_TEXT, va="center", **style)
+    def text(self, x: float, y: float, text: str, fit: float, **style: Any) -> None:
+        """One line at the usual size, or smaller where it would be wider than `fit` pixels."""
+        artist = self.figure.text(x / self.width, 1 - y / self.height, text, fontsize=_TEXT, va="center", **style)
+        width = artist.get_window_extent(self._agg.get_renderer()).width
+        artist.set_fontsize(_TEXT * min(1.0, fit / max(width, 1.0)))
 
     def panel(self, x: float, y: float, width: float, height: float, image: NDArray[np.uint8], title: str) -> None:
         """An image with its title above; `y` is the top of the title."""
-        self.text(x, y + _TITLE / 2, title)
+        self.text(x, y + _TITLE / 2, title, fit=width)
         axes = self.axes(x, y + _TITLE, width, height)
         axes.imshow(image, aspect="auto", interpolation="antialiased")
         axes.set_axis_off()
@@ -280,7 +283,7 @@ def _draw_grid(
     tops = [head + _GAP / 2 + row * (height + _TITLE + _GAP / 2) for row in range(len(grid))]
     canvas = _Canvas(gutter + _GUTTER, round(tops[-1] + height + _TITLE + _GAP))
     if title:
-        canvas.text(_GAP, _GAP / 2 + head / 2, title, weight="bold")
+        canvas.text(_GAP, _GAP / 2 + head / 2, title, fit=canvas.width - 2 * _GAP, weight="bold")
     for top, row in zip(tops, grid, strict=True):
         for column, (image, name) in enumerate(row):
             canvas.panel(_GAP + column * (width + _GAP), top, width, height, image, name)
@@ -291,15 +294,15 @@ def _draw_grid(
 
 def _draw_wheel(canvas: _Canvas, x: float, y: float, height: float, max_flow: float) -> None:
     size = min(_GUTTER - _GAP, height - 2 * _TITLE)
-    canvas.text(x, y + _TITLE / 2, "flow towards")
+    canvas.text(x, y + _TITLE / 2, "flow towards", fit=_GUTTER - _GAP)
     axes = canvas.axes(x, y + _TITLE, size, size)
     axes.imshow(wheel_image(), interpolation="antialiased")
     axes.set_axis_off()
-    canvas.text(x + size / 2, y + _TITLE + size + _TITLE / 2, f"rim: {max_flow:g} px", ha="center")
+    canvas.text(x + size / 2, y + _TITLE + size + _TITLE / 2, f"rim: {max_flow:g} px", fit=size, ha="center")
 
 
 def _draw_bar(canvas: _Canvas, x: float, y: float, height: float, max_error: float) -> None:
-    canvas.text(x, y + _TITLE / 2, "error")
+    canvas.text(x, y + _TITLE / 2, "error", fit=_GUTTER - _GAP)
     axes = canvas.axes(x, y + _TITLE + 6, 16, height - 12)  # room for half a label at either end
     colors = ScalarMappable(Normalize(0.0, max_error), matplotlib.colormaps[UNCERTAINTY_COLORMAP])
     bar = canvas.figure.colorbar(colors, cax=axes)

@@ -124,6 +124,22 @@ def test_overview_is_an_rgb_picture_that_holds_the_panels(size: tuple[int, int],
     assert (border == 255).all()  # nothing is cut off at the edges
 
 
+@pytest.mark.parametrize("size", [(HEIGHT, WIDTH), (24, 90), (90, 24)])
+def test_no_text_overlaps_or_leaves_the_picture(size: tuple[int, int], monkeypatch: pytest.MonkeyPatch) -> None:
+    canvases = []
+    draw = viz._Canvas.rgb
+    monkeypatch.setattr(viz._Canvas, "rgb", lambda self: (canvases.append(self), draw(self))[1])
+    scene = make_scene(*size)
+    long = {"title": "a very long title " * 12, "error_label": "a label that is longer than usual"}
+    viz.overview(scene["frame1"], scene["frame2"], scene["field"], scene["truth"], **long)
+    figure = canvases[0].figure
+    ticks = [label for axes in figure.axes for label in axes.get_yticklabels() if axes.axison]
+    boxes = [text.get_window_extent() for text in [*figure.texts, *ticks]]
+    for index, box in enumerate(boxes):
+        assert box.x0 >= 0 and box.x1 <= figure.bbox.width and box.y0 >= 0 and box.y1 <= figure.bbox.height
+        assert not any(box.overlaps(other) for other in boxes[index + 1 :])
+
+
 def test_overview_shows_flow_and_error_in_their_colors() -> None:
     scene = make_scene()
     scene["field"].flow = np.full((HEIGHT, WIDTH, 2), (3.0, 0.0), np.float32)
