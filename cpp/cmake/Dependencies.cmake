@@ -1,57 +1,54 @@
 # Every find_package of the project, and the one target through which LibTorch is used.
 
-if(AJNA_BUILD_PYTHON OR NOT DEFINED Torch_DIR)
-  find_package(Python 3.10 COMPONENTS Interpreter OPTIONAL_COMPONENTS Development.Module)
+# `make` keeps its virtual environment in .venv: let a bare `cmake --preset release` find the torch in there as well.
+if(NOT DEFINED Python_EXECUTABLE AND NOT DEFINED ENV{VIRTUAL_ENV} AND EXISTS ${PROJECT_SOURCE_DIR}/.venv/bin/python)
+  set(Python_EXECUTABLE ${PROJECT_SOURCE_DIR}/.venv/bin/python)
 endif()
+find_package(Python 3.10 COMPONENTS Interpreter OPTIONAL_COMPONENTS Development.Module)
 
-# LibTorch is the one inside the torch wheel of the active Python, unless Torch_DIR or CMAKE_PREFIX_PATH names another.
-if(NOT DEFINED Torch_DIR AND Python_Interpreter_FOUND)
-  execute_process(
-    COMMAND ${Python_EXECUTABLE} -c "import torch; print(torch.utils.cmake_prefix_path)"
-    OUTPUT_VARIABLE ajna_torch_prefix OUTPUT_STRIP_TRAILING_WHITESPACE ERROR_QUIET
-    RESULT_VARIABLE ajna_torch_probe)
-  if(ajna_torch_probe EQUAL 0)
-    list(APPEND CMAKE_PREFIX_PATH ${ajna_torch_prefix})
-  endif()
-endif()
-find_package(Torch 2.6 QUIET)
-if(NOT Torch_FOUND)
-  message(FATAL_ERROR "LibTorch >= 2.6 not found: `pip install torch` into the active Python "
-                      "(${Python_EXECUTABLE}) or pass -DTorch_DIR=<libtorch>/share/cmake/Torch.")
-endif()
+find_package(AjnaLibTorch 2.6 REQUIRED)
 
 # Newer torch headers are C++20 (GCC merely warns); older ones are C++17. Ask the headers rather than keep a table.
-if(NOT DEFINED AJNA_CXX_STANDARD)
+if(NOT "${AJNA_TORCH_VERSION} ${AJNA_TORCH_PREFIX}" STREQUAL "${AJNA_CXX_STANDARD_PROBED_FOR}")
   file(WRITE ${CMAKE_CURRENT_BINARY_DIR}/probe/cxx17.cpp
        "#include <c10/core/InferenceMode.h>\nint main() { return 0; }\n")
+  unset(AJNA_TORCH_IS_CXX17 CACHE)
   set(CMAKE_TRY_COMPILE_TARGET_TYPE STATIC_LIBRARY)
   try_compile(AJNA_TORCH_IS_CXX17 ${CMAKE_CURRENT_BINARY_DIR}/probe
               SOURCES ${CMAKE_CURRENT_BINARY_DIR}/probe/cxx17.cpp
-              CMAKE_FLAGS "-DINCLUDE_DIRECTORIES=${TORCH_INCLUDE_DIRS}"
+              CMAKE_FLAGS "-DINCLUDE_DIRECTORIES=${AJNA_TORCH_INCLUDE_DIRS}"
               COMPILE_DEFINITIONS -Werror=c++20-extensions
               CXX_STANDARD 17 CXX_STANDARD_REQUIRED ON)
   unset(CMAKE_TRY_COMPILE_TARGET_TYPE)
+  set(AJNA_CXX_STANDARD_PROBED_FOR "${AJNA_TORCH_VERSION} ${AJNA_TORCH_PREFIX}" CACHE INTERNAL "")
   if(AJNA_TORCH_IS_CXX17)
-    set(AJNA_CXX_STANDARD 17 CACHE STRING "C++ standard: 17, or 20 where the torch headers demand it")
+    set(AJNA_CXX_STANDARD_PROBED 17 CACHE INTERNAL "")
   else()
-    set(AJNA_CXX_STANDARD 20 CACHE STRING "C++ standard: 17, or 20 where the torch headers demand it")
+    set(AJNA_CXX_STANDARD_PROBED 20 CACHE INTERNAL "")
   endif()
+endif()
+if(NOT AJNA_CXX_STANDARD)
+  set(AJNA_CXX_STANDARD ${AJNA_CXX_STANDARD_PROBED})
 endif()
 
 add_library(ajna_torch INTERFACE)
 add_library(ajna::torch ALIAS ajna_torch)
-target_include_directories(ajna_torch SYSTEM INTERFACE "$<BUILD_INTERFACE:${TORCH_INCLUDE_DIRS}>")
-target_link_libraries(ajna_torch INTERFACE ${TORCH_LIBRARIES})
+set_target_properties(ajna_torch PROPERTIES EXPORT_NAME torch)
+# In the build tree and in an installed one alike the wheel's files come through FindAjnaLibTorch.
+target_link_libraries(ajna_torch INTERFACE ajna::libtorch)
 target_compile_features(ajna_torch INTERFACE cxx_std_${AJNA_CXX_STANDARD})
-get_filename_component(AJNA_TORCH_LIB_DIR "${TORCH_INSTALL_PREFIX}/lib" ABSOLUTE)
 
 if(AJNA_BUILD_PYTHON)
   if(NOT Python_Development.Module_FOUND)
     message(FATAL_ERROR "Python headers not found: install python3-dev for ${Python_EXECUTABLE}.")
   endif()
-  # Tensors cross the binding through libtorch_python, which find_package(Torch) leaves out; the pybind11
-  # headers are torch's own, so that both modules share one internals version.
-  find_library(AJNA_TORCH_PYTHON_LIBRARY torch_python PATHS ${AJNA_TORCH_LIB_DIR} NO_DEFAULT_PATH REQUIRED)
+  # Tensors cross the binding through libtorch_python; the pybind11 headers are torch's own, so that both modules
+  # share one internals version.
+  set(AJNA_TORCH_PYTHON_LIBRARY ${AJNA_TORCH_LIB_DIR}/libtorch_python.so)
+  if(NOT EXISTS ${AJNA_TORCH_PYTHON_LIBRARY})
+    message(FATAL_ERROR "${AJNA_TORCH_PYTHON_LIBRARY} not found: AJNA_BUILD_PYTHON needs the torch of a Python "
+                        "(`pip install torch`), not a LibTorch archive.")
+  endif()
 endif()
 
 if(AJNA_WITH_VISION)
