@@ -193,10 +193,11 @@ class _Canvas:
     def text(self, x: float, y: float, text: str, fit: float, **style: Any) -> None:
         """One line at the usual size, or smaller where it would be wider than `fit` pixels."""
         artist = self.figure.text(x / self.width, 1 - y / self.height, text, fontsize=_TEXT, va="center", **style)
-        renderer = self._agg.get_renderer()
+        renderer, size = self._agg.get_renderer(), _TEXT
         # Hinting makes the width a step function of the size: one division may not be enough.
-        while (width := artist.get_window_extent(renderer).width) > fit and artist.get_fontsize() > 1:
-            artist.set_fontsize(0.98 * artist.get_fontsize() * fit / width)
+        while (width := artist.get_window_extent(renderer).width) > fit and size > 1:
+            size *= 0.98 * fit / width
+            artist.set_fontsize(size)
 
     def panel(self, x: float, y: float, width: float, height: float, image: NDArray[np.uint8], title: str) -> None:
         """An image with its title above; `y` is the top of the title."""
