@@ -1,0 +1,212 @@
+# SPDX-License-Identifier: MIT
+"""Score flow methods and their uncertainty on frame pairs: the figures behind `ajna evaluate`.
+
+Conventions: every figure is per image (`ajna.metrics` says which), a mean row is the mean over the cases that have the
+figure. Frames are resized by area and ground truth by nearest pixel, with vectors scaled to the new size. Scored are
+the pixels with known, valid ground truth; the occlusion AUC counts among these, too. `run_time_ms` is the median over
+repeated calls of the whole method, from two uint8 frames to flow *and* uncertainty (for the classical methods: both
+directions).
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ajna.baselines import FlowMethod
+from ajna.data.pairs import FramePair, PairsDataset, check_names
+from ajna.metrics import EndPointError, FlAll, OcclusionAUC, Sparsification, SparsificationCurves, Spearman
+
+# Motion far beyond what a network for a drone's frames is meant for (Sintel's market_5 holds |flow| up to 132 px, 32 px
+# in the mean) would alone decide a mean end-point error over a handful of pairs. Such cases tell about uncertainty only
+# and stay out of the mean of the error figures.
+UNCERTAINTY_ONLY = frozenset({"sintel_market5_final_0002"})
+
+ERROR_FIGURES = ("epe", "zero_epe", "ratio", "fl_all")
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Figures of one case or of a mean row; None where there is no ground truth, no mask, or nothing defined."""
+
+    epe: float | None = None  # mean end-point error, pixels at the scored size
+    zero_epe: float | None = None  # the same of zero flow: the mean true motion
+    ratio: float | None = None  # epe / zero_epe; in a mean row the ratio of the two means
+    fl_all: float | None = None  # fraction of pixels off by over 3 px and 5 %
+    ause: float | None = None  # area under the sparsification error
+    rho: float | None = None  # Spearman correlation of uncertainty norm and end-point error
+    occlusion_auc: float | None = None  # ROC AUC of the uncertainty norm for the occlusion mask
+    run_time_ms: float | None = None  # median
+
+
+@dataclass
+class MethodReport:
+    """What one method scored."""
+
+    cases: dict[str, Scores] = field(default_factory=dict)
+    curves: SparsificationCurves | None = None  # mean over the cases with ground truth
+    mean: Scores = field(default_factory=Scores)
+    mean_without_excluded: Scores | None = None
+
+
+@dataclass
+class Evaluation:
+    """What all methods scored on one data set."""
+
+    size: tuple[int, int] | None  # (width, height), or None for each pair's own
+    methods: dict[str, MethodReport]
+    uncertainty_only: tuple[str, ...] = ()  # present cases that stay out of the means of the error figures
+    excluded: tuple[str, ...] = ()  # cases left out of `mean_without_excluded`
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain keys, numbers, null for undefined."""
+        return {
+            "size": list(self.size) if self.size else None,
+            "uncertainty_only_cases": list(self.uncertainty_only),
+            "excluded_cases": list(self.excluded),
+            "methods": {
+                name: {
+                    "cases": {case: asdict(scores) for case, scores in report.cases.items()},
+                    "mean": asdict(report.mean),
+                    "mean_without_excluded": report.mean_without_excluded and asdict(report.mean_without_excluded),
+                }
+                for name, report in self.methods.items()
+            },
+        }
+
+
+OnCase = Callable[[str, FramePair, Any, Scores], None]
+
+
+def evaluate(
+    dataset: PairsDataset,
+    methods: Mapping[str, FlowMethod],
+    *,
+    size: tuple[int, int] | None = (320, 240),
+    exclude: Iterable[str] = (),
+    uncertainty_only: Iterable[str] = UNCERTAINTY_ONLY,
+    repeats: int = 3,
+    on_case: OnCase | None = None,
+) -> Evaluation:
+    """Run every method on every pair and score it.
+
+    Args:
+        methods: name -> callable(frame1, frame2) that gives `.flow` and `.uncertainty` [H, W, 2].
+        size: (width, height) at which all is run and scored; None for each pair's own size.
+        exclude: cases that are scored but left out of a second mean, `mean_without_excluded`.
+        uncertainty_only: cases left out of the means of the error figures (epe, zero_epe, ratio, fl_all).
+        repeats: timed calls per case, after one that is not timed.
+        on_case: called with (method name, resized pair, field, scores) after each case, e.g. to draw pictures.
+
+    Raises:
+        ValueError: an unknown case in `exclude`, or an unreadable pair.
+        RuntimeError: a method returned values that are not finite or of the wrong shape.
+    """
+    excluded = tuple(exclude)
+    check_names(excluded, dataset.names, dataset.root)
+    if repeats < 1:
+        raise ValueError(f"repeats={repeats} leaves nothing to time; use at least 1.")
+    left_out = tuple(name for name in dataset.names if name in set(uncertainty_only))
+    reports = {name: MethodReport() for name in methods}
+    curves = {name: Sparsification() for name in methods}
+    for index in range(len(dataset)):
+        pair = dataset[index] if size is None else dataset[index].resized(*size)
+        for name, method in methods.items():
+            result, run_time_ms = _run(name, method, pair, repeats)
+            scores = _score(pair, result, run_time_ms, curves[name])
+            reports[name].cases[pair.name] = scores
+            if on_case is not None:
+                on_case(name, pair, result, scores)
+    for name, report in reports.items():
+        if any(scores.ause is not None for scores in report.cases.values()):
+            report.curves = curves[name].compute()
+        report.mean = mean_scores(report.cases, without_errors=left_out)
+        if excluded:
+            rest = {case: scores for case, scores in report.cases.items() if case not in excluded}
+            report.mean_without_excluded = mean_scores(rest, without_errors=left_out)
+    return Evaluation(size, reports, left_out, excluded)
+
+
+def mean_scores(cases: Mapping[str, Scores], without_errors: Iterable[str] = ()) -> Scores:
+    """Mean over the cases that have a figure; `run_time_ms` is the median, `ratio` the ratio of the means."""
+    skipped = set(without_errors)
+    means: dict[str, float | None] = {}
+    for figure in (item.name for item in fields(Scores)):
+        values = [
+            value
+            for case, scores in cases.items()
+            if (value := getattr(scores, figure)) is not None and not (figure in ERROR_FIGURES and case in skipped)
+        ]
+        average = statistics.median if figure == "run_time_ms" else statistics.fmean
+        means[figure] = average(values) if values else None
+    means["ratio"] = _ratio(means["epe"], means["zero_epe"])
+    return Scores(**means)
+
+
+def _ratio(value: float | None, reference: float | None) -> float | None:
+    return None if value is None or not reference else value / reference
+
+
+def _run(name: str, method: FlowMethod, pair: FramePair, repeats: int) -> tuple[Any, float]:
+    result = method(pair.frame1, pair.frame2)
+    expected = (*pair.frame1.shape[:2], 2)
+    for part in ("flow", "uncertainty"):
+        values = np.asarray(getattr(result, part))
+        if values.shape != expected:
+            raise RuntimeError(
+                f"method '{name}' gave {part} of shape {values.shape} for '{pair.name}', not {expected}."
+            )
+        if not np.isfinite(values).all():
+            bad = int((~np.isfinite(values)).sum())
+            raise RuntimeError(
+                f"method '{name}' gave {bad} values of {part} that are not finite for '{pair.name}'; it cannot be scored."
+            )
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        method(pair.frame1, pair.frame2)
+        times.append(time.perf_counter() - start)
+    return result, 1e3 * statistics.median(times)
+
+
+def _score(pair: FramePair, result: Any, run_time_ms: float, curves: Sparsification) -> Scores:
+    uncertainty = _batch(result.uncertainty)
+    if pair.flow is None or pair.valid is None:
+        auc = None if pair.occlusion is None else OcclusionAUC()(uncertainty, torch.from_numpy(pair.occlusion)[None])
+        return Scores(occlusion_auc=_defined(auc), run_time_ms=run_time_ms)
+    prediction, target = _batch(result.flow), _batch(pair.flow)
+    valid = torch.from_numpy(pair.valid)[None]
+    auc = None
+    if pair.occlusion is not None:
+        auc = OcclusionAUC()(uncertainty, torch.from_numpy(pair.occlusion)[None], valid)
+    epe = _defined(EndPointError()(prediction, target, valid))
+    zero_epe = _defined(EndPointError()(torch.zeros_like(target), target, valid))
+    return Scores(
+        epe=epe,
+        zero_epe=zero_epe,
+        ratio=_ratio(epe, zero_epe),
+        fl_all=_defined(FlAll()(prediction, target, valid)),
+        ause=_defined(curves(prediction, target, uncertainty, valid).ause),
+        rho=_defined(Spearman()(prediction, target, uncertainty, valid)),
+        occlusion_auc=_defined(auc),
+        run_time_ms=run_time_ms,
+    )
+
+
+def _batch(array: NDArray[Any]) -> Tensor:
+    """[H, W, 2] -> [1, 2, H, W]."""
+    return torch.from_numpy(np.ascontiguousarray(array)).permute(2, 0, 1)[None]
+
+
+def _defined(value: Tensor | None) -> float | None:
+    """NaN, which here can only mean undefined (`_run` refuses methods that give NaN), becomes None."""
+    return None if value is None or math.isnan(value.item()) else value.item()
