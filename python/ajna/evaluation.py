@@ -168,7 +168,8 @@ def _run(name: str, method: FlowMethod, pair: FramePair, repeats: int) -> tuple[
         if not np.isfinite(values).all():
             bad = int((~np.isfinite(values)).sum())
             raise RuntimeError(
-                f"method '{name}' gave {bad} values of {part} that are not finite for '{pair.name}'; it cannot be scored."
+                f"method '{name}' gave {bad} values of {part} that are not finite for '{pair.name}'; "
+                "it cannot be scored."
             )
     times = []
     for _ in range(repeats):

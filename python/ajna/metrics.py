@@ -351,7 +351,7 @@ class OcclusionAUC(_RunningMean):
         super().__init__("occlusion_auc")
 
     def update(self, uncertainty: Tensor, occlusion: Tensor, valid: Tensor | None = None) -> None:
-        """Add a batch: uncertainty [N, 2 or 1, H, W] or [N, H, W]; occlusion and valid bool [N, H, W] (or [N,1,H,W])."""
+        """Add a batch: uncertainty [N, 2 or 1, H, W] or [N, H, W]; occlusion, valid bool [N, H, W] or [N, 1, H, W]."""
         norm = uncertainty_norm(uncertainty)
         positive = _check_map("occlusion", occlusion, norm).bool()
         mask = torch.ones_like(positive) if valid is None else _check_map("valid", valid, norm).bool()

@@ -278,7 +278,7 @@ def _mean(values: NDArray[np.float64], note: str = "") -> str:
 def _draw_grid(
     pictures: list[list[tuple[RgbImage, str]]], aspect: float, title: str, max_flow: float, max_error: float
 ) -> RgbImage:
-    """Pairs of (picture, its title) side by side, or below each other where the frames are wide; legends at the right."""
+    """Pairs of (picture, its title) side by side, or below each other where frames are wide; legends at the right."""
     width, height = round((_PANEL_AREA * aspect) ** 0.5), round((_PANEL_AREA / aspect) ** 0.5)
     grid = pictures if aspect > _WIDE else [list(row) for row in zip(*pictures, strict=True)]
     head = _TITLE if title else 0
@@ -315,7 +315,7 @@ def _draw_bar(canvas: _Canvas, x: float, y: float, height: float, max_error: flo
 
 
 def sparsification_plot(curves: Mapping[str, Curve], title: str = "") -> RgbImage:
-    """Sparsification curves of several methods as RGB uint8: solid by uncertainty, dashed the oracle of the same method.
+    """Sparsification curves of several methods as RGB uint8: solid by uncertainty, dashed the method's oracle.
 
     Args:
         curves: method -> Curve, as `ajna.metrics.Sparsification` computes them.

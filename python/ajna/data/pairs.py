@@ -230,8 +230,10 @@ def _case_files(folder: Path) -> _CaseFiles:
 
 
 def _read_flow(path: Path) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    flow, valid = io.read_flo(path) if path.suffix == ".flo" else io.read_kitti_flow(path)
-    return flow, valid.astype(bool)
+    if path.suffix == ".flo":
+        flow = io.read_flo(path)
+        return flow, io.known_flow(flow)
+    return io.read_kitti_flow(path)
 
 
 def _read_mask(path: Path) -> NDArray[np.bool_]:
