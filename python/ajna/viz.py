@@ -326,8 +326,9 @@ def sparsification_plot(curves: Mapping[str, Curve], title: str = "") -> RgbImag
         by_uncertainty, oracle = np.asarray(curve.by_uncertainty), np.asarray(curve.oracle)
         removed = np.linspace(0.0, 1.0, by_uncertainty.size)
         color = f"C{index % 10}"
-        axes.plot(removed, by_uncertainty, color=color, label=f"{name}: AUSE {curve.ause:.3f}")
-        axes.plot(removed, oracle, color=color, linestyle="--", linewidth=1)
+        # The last value, with no pixel left, is 0 by convention only: not drawn.
+        axes.plot(removed[:-1], by_uncertainty[:-1], color=color, label=f"{name}: AUSE {curve.ause:.3f}")
+        axes.plot(removed[:-1], oracle[:-1], color=color, linestyle="--", linewidth=1)
     axes.plot([], [], color="grey", linestyle="--", linewidth=1, label="oracle: by the actual error")
     axes.set_xlim(0, 1)
     axes.set_ylim(bottom=0)

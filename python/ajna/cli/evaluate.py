@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: MIT
+"""`ajna evaluate`: score models and classical methods on frame pairs with ground truth."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import tempfile
+from collections.abc import Iterable
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from ajna.baselines import FlowMethod
+    from ajna.data.pairs import FramePair
+    from ajna.evaluation import Evaluation, MethodReport, Scores
+
+
+class DatasetName(str, Enum):
+    """Data sets that can be scored."""
+
+    pairs = "pairs"
+
+
+# field of Scores -> (heading, format); fractions are shown in percent
+_COLUMNS = {
+    "epe": ("EPE", "{:.2f}"),
+    "zero_epe": ("zero", "{:.2f}"),
+    "ratio": ("ratio", "{:.1%}"),
+    "fl_all": ("Fl-all", "{:.1%}"),
+    "ause": ("AUSE", "{:.3f}"),
+    "rho": ("rho", "{:.2f}"),
+    "occlusion_auc": ("AUC", "{:.2f}"),
+    "run_time_ms": ("ms", "{:.1f}"),
+}
+
+_PIPED_WIDTH = 120  # columns, where there is no terminal to ask
+
+_LEGEND = (
+    "EPE: mean end-point error per image, px at the scored size; zero: that of zero flow; ratio: EPE / zero. "
+    "Fl-all: pixels off by over 3 px and 5 %. "
+    "AUSE: mean EPE of the kept pixels over the full mean, 50 bins, per image, area to the oracle. "
+    "rho: Spearman correlation of uncertainty and error. AUC: ROC AUC of the uncertainty for occlusion. "
+    "ms: median time of flow and uncertainty."
+)
+
+
+def evaluate(
+    root: Annotated[Path, typer.Option(help="Folder of the data set; for 'pairs' one folder per pair.")],
+    dataset: Annotated[DatasetName, typer.Option(help="Kind of data set.")] = DatasetName.pairs,
+    model: Annotated[
+        list[str] | None, typer.Option(help="Model by name, checkpoint or TorchScript file; may be repeated.")
+    ] = None,
+    method: Annotated[
+        list[str] | None,
+        typer.Option(help="Classical method: dis, farneback, zero or all; may be repeated, also beside --model."),
+    ] = None,
+    size: Annotated[
+        str, typer.Option(help="WIDTHxHEIGHT at which all is run and scored, or 'full' for each pair's own.")
+    ] = "320x240",
+    cases: Annotated[list[str] | None, typer.Option(help="Only this case; may be repeated or comma-separated.")] = None,
+    exclude: Annotated[
+        list[str] | None,
+        typer.Option(help="Also print the mean without this case; may be repeated or comma-separated."),
+    ] = None,
+    repeats: Annotated[int, typer.Option(min=1, help="Timed runs per case.")] = 3,
+    device: Annotated[str, typer.Option(help="Where models run: cpu, cuda, cuda:1, ...")] = "cpu",
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for evaluation.json, an overview picture per case, sparsification.png.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+) -> None:
+    """Score flow and uncertainty against ground truth.
+
+    Example: ajna evaluate --root data/pairs --model best --method dis --out out/evaluation
+
+    The means of EPE, Fl-all and their ratio leave out sintel_market5_final_0002 where it is present: its motion of up
+    to 132 px is for judging uncertainty only.
+    """
+    from rich.console import Console
+
+    from ajna.data.pairs import PairsDataset
+    from ajna.evaluation import evaluate as run
+
+    scored_size = parse_size(size)
+    data = PairsDataset(root, _split(cases))
+    methods = _methods(model or [], _split(method), device)
+    if out is not None:
+        _make_folder(out)
+    console = Console(stderr=True)
+    total = len(data) * len(methods)
+    with console.status("starting") as status:
+        done = 0
+
+        def on_case(name: str, pair: FramePair, field: Any, scores: Scores) -> None:
+            nonlocal done
+            done += 1
+            status.update(f"{done} of {total}: {name} on {pair.name}")
+            if out is not None:
+                _write_overview(out / _file_name(name), name, pair, field)
+
+        result = run(data, methods, size=scored_size, exclude=_split(exclude), repeats=repeats, on_case=on_case)
+    record = {"dataset": dataset.value, "root": str(root), **result.to_json()}
+    if out is not None:
+        _write_results(out, record, result)
+    if as_json:
+        typer.echo(json.dumps(record, indent=2))
+    else:
+        screen = Console()
+        print_tables(result, screen if screen.is_terminal else Console(width=_PIPED_WIDTH), root)
+        if out is not None:
+            typer.echo(
+                f"wrote {out / 'evaluation.json'}, {out / 'sparsification.png'} and pictures per method in {out}"
+            )
+
+
+def parse_size(text: str) -> tuple[int, int] | None:
+    """'320x240' -> (320, 240); 'full' -> None. Raises ValueError for anything else."""
+    if text == "full":
+        return None
+    match = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", text)
+    if match is None:
+        raise ValueError(f"--size '{text}' is not a size; give WIDTHxHEIGHT such as 320x240, or 'full'.")
+    return int(match[1]), int(match[2])
+
+
+def _split(values: Iterable[str] | None) -> list[str]:
+    return [part for value in values or () for part in value.split(",") if part]
+
+
+def _methods(models: list[str], baselines: list[str], device: str) -> dict[str, FlowMethod]:
+    """Name -> method, models first; the shipped model if nothing is asked for."""
+    import ajna
+    from ajna.baselines import BASELINES, make_baseline
+
+    if "all" in baselines:
+        baselines = list(dict.fromkeys([name for name in baselines if name != "all"] + list(BASELINES)))
+    if not models and not baselines:
+        models = ["best"]
+    methods: dict[str, FlowMethod] = {}
+    for model in models:
+        name = Path(model).name if Path(model).suffix else model
+        if name in methods:
+            raise ValueError(f"two models are named '{name}' ({', '.join(models)}); rename one of the files.")
+        methods[name] = ajna.load(model, device=device)
+    for name in baselines:
+        methods[name] = make_baseline(name)
+    return methods
+
+
+# --- output --------------------------------------------------------------------------------------------------------
+
+
+def print_tables(result: Evaluation, console: Console, root: Path) -> None:
+    """One table per method and, where there are several, their means side by side."""
+    from rich.table import Table
+
+    size = "each pair's own size" if result.size is None else f"{result.size[0]}x{result.size[1]}"
+
+    def table(title: str, first: str) -> Table:
+        made = Table(title=title, title_justify="left")
+        made.add_column(first, no_wrap=True)
+        for heading, _ in _COLUMNS.values():
+            made.add_column(heading, justify="right", no_wrap=True)
+        return made
+
+    for name, report in result.methods.items():
+        rows = table(f"{name} on {root}, at {size}", "case")
+        for case, scores in report.cases.items():
+            rows.add_row(case + (" *" if case in result.uncertainty_only else ""), *_cells(scores))
+        rows.add_section()
+        for label, scores in _means(report):
+            rows.add_row(label, *_cells(scores), style="bold")
+        console.print(rows)
+    if len(result.methods) > 1:
+        rows = table("means side by side", "method")
+        for name, report in result.methods.items():
+            for label, scores in _means(report):
+                rows.add_row(name if label == "mean" else f"{name}, {label}", *_cells(scores))
+        console.print(rows)
+    if result.uncertainty_only:
+        console.print(
+            f"* {', '.join(result.uncertainty_only)}: extreme motion, for judging uncertainty only; "
+            "the means of EPE, zero flow, their ratio and Fl-all leave it out."
+        )
+    if result.excluded:
+        console.print(f"excluded: {', '.join(result.excluded)}")
+    console.print(_LEGEND, style="dim")
+
+
+def _means(report: MethodReport) -> list[tuple[str, Scores]]:
+    rows = [("mean", report.mean)]
+    if report.mean_without_excluded is not None:
+        rows.append(("mean without excluded", report.mean_without_excluded))
+    return rows
+
+
+def _cells(scores: Scores) -> list[str]:
+    values = ((getattr(scores, name), form) for name, (_, form) in _COLUMNS.items())
+    return ["–" if value is None else form.format(value) for value, form in values]
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise RuntimeError(f"cannot make the folder '{folder}' ({reason}); give --out another place.") from error
+
+
+def _file_name(name: str) -> str:
+    return re.sub(r"[^\w.-]", "_", name)
+
+
+def _write_overview(folder: Path, method: str, pair: FramePair, field: Any) -> None:
+    import numpy as np
+
+    from ajna import io, viz
+    from ajna.baselines import BaselineField
+
+    truth = None if pair.flow is None or pair.valid is None else np.where(pair.valid[..., None], pair.flow, np.nan)
+    label = "forward-backward distance" if isinstance(field, BaselineField) else "expected error"
+    _make_folder(folder)
+    picture = viz.overview(pair.frame1, pair.frame2, field, truth, title=f"{pair.name}: {method}", error_label=label)
+    io.write_image(folder / f"{pair.name}.png", picture)
+
+
+def _write_results(out: Path, record: dict[str, Any], result: Evaluation) -> None:
+    from ajna import io, viz
+
+    curves = {
+        name: viz.Curve(report.curves.by_uncertainty.numpy(), report.curves.oracle.numpy(), report.curves.ause.item())
+        for name, report in result.methods.items()
+        if report.curves is not None
+    }
+    io.write_image(out / "sparsification.png", viz.sparsification_plot(curves, "Sparsification, mean over the pairs"))
+    handle, temporary = tempfile.mkstemp(dir=out, prefix=".evaluation", suffix=".json")
+    try:
+        with os.fdopen(handle, "w") as stream:
+            json.dump(record, stream, indent=2)
+        Path(temporary).chmod(0o644)
+        os.replace(temporary, out / "evaluation.json")
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
