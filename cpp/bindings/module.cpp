@@ -8,4 +8,10 @@ PYBIND11_MODULE(_core, m) {
   ajna::bindings::bind_loss(m);
   ajna::bindings::bind_synth(m);
   ajna::bindings::bind_checkpoint(m);
+#ifdef AJNA_WITH_VISION
+  ajna::bindings::bind_io(m);
+  m.attr("with_vision") = true;
+#else
+  m.attr("with_vision") = false;
+#endif
 }

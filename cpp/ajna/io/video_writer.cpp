@@ -7,6 +7,7 @@
 #include <opencv2/imgproc.hpp>
 #include <opencv2/videoio.hpp>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "ajna/base/error.hpp"
@@ -17,8 +18,10 @@
 namespace ajna::io {
 
 struct VideoWriter::Impl {
-  Impl(const std::filesystem::path& path, int w, int h) : file(path), width(w), height(h) {}
-  AtomicFile file;  // declared first, so destroyed last: the encoder has let go of it by then
+  Impl(const std::filesystem::path& target, int w, int h)
+      : path(target), file(std::make_unique<AtomicFile>(target)), width(w), height(h) {}
+  std::filesystem::path path;
+  std::unique_ptr<AtomicFile> file;  // before the encoder, so destroyed after it has let go of the temporary
   cv::VideoWriter encoder;
   int width;
   int height;
@@ -63,7 +66,7 @@ VideoWriter::VideoWriter(const std::filesystem::path& path, int width, int heigh
   }
   check_image_size(width, height, path.string());
   impl_ = std::make_unique<Impl>(path, width, height);
-  const std::string temporary = std::filesystem::absolute(impl_->file.temporary()).string();
+  const std::string temporary = std::filesystem::absolute(impl_->file->temporary()).string();
   if (!open_encoder(impl_->encoder, temporary, extension, fps, {(width + 1) / 2 * 2, (height + 1) / 2 * 2})) {
     throw_runtime("video '" + path.string() + "' of " + std::to_string(width) + "x" + std::to_string(height) +
                   " cannot be encoded: OpenCV's video writer (FFmpeg) has no encoder for it");
@@ -75,7 +78,7 @@ VideoWriter::VideoWriter(VideoWriter&&) noexcept = default;
 VideoWriter& VideoWriter::operator=(VideoWriter&&) noexcept = default;
 
 void VideoWriter::write(const ImageView& frame) {
-  const std::string name = impl_->file.path().string();
+  const std::string name = impl_->path.string();
   if (impl_->closed) {
     throw_invalid("video '" + name + "' is closed: no frame can be appended");
   }
@@ -102,19 +105,20 @@ void VideoWriter::write(const ImageView& frame) {
 }
 
 void VideoWriter::close() {
-  const std::string name = impl_->file.path().string();
+  const std::string name = impl_->path.string();
   if (impl_->closed) {
     return;
   }
   impl_->closed = true;
   impl_->encoder.release();
+  const std::unique_ptr<AtomicFile> file = std::move(impl_->file);  // gone by the end, committed or not
   if (impl_->frames == 0) {
     throw_invalid("video '" + name + "' has no frames: write at least one");
   }
   double found = 0;
   {
     const QuietOpenCv quiet;
-    cv::VideoCapture check(std::filesystem::absolute(impl_->file.temporary()).string());
+    cv::VideoCapture check(std::filesystem::absolute(file->temporary()).string());
     if (cv::Mat first; check.isOpened() && check.read(first)) {
       found = check.get(cv::CAP_PROP_FRAME_COUNT);
     }
@@ -123,7 +127,15 @@ void VideoWriter::close() {
     throw_runtime("video '" + name + "' holds " + std::to_string(static_cast<std::int64_t>(found)) + " of " +
                   std::to_string(impl_->frames) + " frames: free space on the disk or choose another folder");
   }
-  impl_->file.commit();
+  file->commit();
+}
+
+void VideoWriter::discard() noexcept {
+  if (!impl_->closed) {
+    impl_->closed = true;
+    impl_->encoder.release();
+    impl_->file.reset();
+  }
 }
 
 std::int64_t VideoWriter::frames_written() const noexcept { return impl_->frames; }

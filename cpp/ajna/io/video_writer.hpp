@@ -27,6 +27,8 @@ class VideoWriter {
   /// Finish the file, read it back (the encoder reports no full disk) and put it in place. Throws Error:
   /// kInvalidArgument where no frame was written, kRuntime where the file does not hold the frames.
   void close();
+  /// Give up: remove what was written; nothing can be appended afterwards. No effect after close().
+  void discard() noexcept;
   [[nodiscard]] std::int64_t frames_written() const noexcept;
 
  private:
