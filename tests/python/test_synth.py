@@ -39,8 +39,9 @@ def test_bad_options_are_named(options: dict[str, object], message: str) -> None
 
 
 def test_pairs_satisfy_the_warp_identity() -> None:
-    still = ("blur_probability", "defocus_probability", "noise_max", "brightness_change", "color_change", "gamma_change")
-    generator = synth.PairGenerator({**SMALL, **dict.fromkeys(still, 0.0)}, bank_seed=2)
+    changes = ("blur_probability", "defocus_probability", "noise_max", "brightness_change", "color_change")
+    clean = {**dict.fromkeys(changes, 0.0), "gamma_change": 0.0}
+    generator = synth.PairGenerator({**SMALL, **clean}, bank_seed=2)
     pairs = generator(6, 64, 96, seed=3)
     v, u = torch.meshgrid(torch.arange(64.0), torch.arange(96.0), indexing="ij")
     grid = torch.stack([(u + pairs.flow[:, 0]) * 2 / 95 - 1, (v + pairs.flow[:, 1]) * 2 / 63 - 1], -1)
