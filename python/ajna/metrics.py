@@ -26,7 +26,13 @@ from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor
-from torchmetrics import Metric
+
+try:
+    from torchmetrics import Metric
+except ModuleNotFoundError as error:
+    raise ImportError(
+        f"scores need the Python package torchmetrics ({error}): pip install torchmetrics", name="ajna.metrics"
+    ) from error
 
 UNKNOWN_FLOW = 1e9  # Middlebury: components beyond mean "no ground truth"
 

@@ -253,7 +253,7 @@ def overview(
     max_flow = robust_scale(*lengths) if max_flow is None else max_flow
     max_error = robust_scale(*errors) if max_error is None else max_error
     pictures = [
-        [(first, "frame 1"), (anaglyph(first, second), "both frames (red: first, cyan: second)")],
+        [(first, "frame 1"), (anaglyph(first, second), "both frames (red-cyan anaglyph)")],
         [
             (flow_to_image(flow, max_flow), f"optical flow{_mean(lengths[0])}"),
             (uncertainty_to_image(error, 0.0, max_error), f"{error_label}{_mean(error)}"),

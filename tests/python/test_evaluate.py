@@ -13,17 +13,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import typer
+from typer.testing import CliRunner
 
-io = pytest.importorskip("ajna.io", reason="needs the build with vision (AJNA_WITH_VISION=ON)", exc_type=ImportError)
+pytest.importorskip("ajna.io", reason="needs the build with vision (AJNA_WITH_VISION=ON)", exc_type=ImportError)
 
-import typer  # noqa: E402
-from typer.testing import CliRunner  # noqa: E402
-
-from ajna.baselines import BASELINES, BaselineField, forward_backward_difference, make_baseline  # noqa: E402
-from ajna.cli.evaluate import evaluate as command  # noqa: E402
-from ajna.cli.evaluate import parse_size  # noqa: E402
-from ajna.data.pairs import PairsDataset  # noqa: E402
-from ajna.evaluation import Scores, evaluate, mean_scores  # noqa: E402
+from ajna import io
+from ajna.baselines import BASELINES, BaselineField, forward_backward_difference, make_baseline
+from ajna.cli.evaluate import evaluate as command
+from ajna.data.pairs import PairsDataset
+from ajna.evaluation import Scores, evaluate, mean_scores
 
 HEIGHT, WIDTH = 48, 64
 SHIFTS = {"slow": (2, 0), "fast": (-4, 3), "sintel_market5_final_0002": (40, 0)}
@@ -207,10 +206,9 @@ def test_the_command_writes_json_and_pictures(root: Path, tmp_path: Path) -> Non
     zero = written["methods"]["zero"]
     assert set(zero["mean"]) == set(zero["cases"]["slow"]) == KEYS and zero["mean_without_excluded"] is None
     assert zero["mean"]["epe"] == pytest.approx(3.5) and zero["cases"]["no_truth"]["epe"] is None
-    pictures = sorted(str(path.relative_to(out)) for path in out.rglob("*.png"))
-    assert pictures == ["sparsification.png", *sorted(f"zero/{case}.png" for case in [*SHIFTS, "no_truth"])]
-    assert io.read_image(out / "zero" / "slow.png").shape[2] == 3
-    assert not list(out.rglob(".*"))  # no temporary file is left
+    pictures = [f"zero_{case}.png" for case in (*SHIFTS, "no_truth")]
+    assert sorted(path.name for path in out.iterdir()) == sorted(["evaluation.json", "sparsification.png", *pictures])
+    assert io.read_image(out / "zero_slow.png").shape[2] == 3
 
 
 def test_all_runs_every_baseline_side_by_side(root: Path) -> None:
@@ -226,19 +224,21 @@ def test_models_are_loaded_by_name_and_default_to_best(root: Path, monkeypatch: 
 
     loaded = []
 
-    def load(name: str, device: str = "cpu"):
-        loaded.append((name, device))
+    def load(name: str, device: str, threads: int | None):
+        loaded.append((name, device, threads))
         field = constant(2, 0)
         return lambda a, b: SimpleNamespace(**vars(field(a, b)), expected_error=np.ones((*a.shape[:2], 2), np.float32))
 
     monkeypatch.setattr(ajna, "load", load, raising=False)
     result = run("--root", root, "--cases", "slow", "--size", "full", "--json", "--repeats", 1)
     assert result.exit_code == 0, result.output
-    assert loaded == [("best", "cpu")] and json.loads(result.stdout)["methods"]["best"]["mean"]["fl_all"] == 0
+    assert loaded == [("best", "cpu", None)] and json.loads(result.stdout)["methods"]["best"]["mean"]["fl_all"] == 0
     two = ["--model", "best", "--model", "some/dir/other.safetensors", "--method", "zero"]
-    result = run("--root", root, "--cases", "slow", "--json", "--repeats", 1, "--device", "cuda:0", *two)
+    result = run(
+        "--root", root, "--cases", "slow", "--json", "--repeats", 1, "--device", "cuda:0", "--threads", 2, *two
+    )
     assert list(json.loads(result.stdout)["methods"]) == ["best", "other.safetensors", "zero"]
-    assert loaded[1:] == [("best", "cuda:0"), ("some/dir/other.safetensors", "cuda:0")]
+    assert loaded[1:] == [("best", "cuda:0", 2), ("some/dir/other.safetensors", "cuda:0", 2)]
 
 
 def test_bad_arguments_are_errors_with_a_reason(root: Path, tmp_path: Path) -> None:
@@ -246,13 +246,14 @@ def test_bad_arguments_are_errors_with_a_reason(root: Path, tmp_path: Path) -> N
     for arguments, error, reason in (
         (["--root", tmp_path / "nowhere", "--method", "zero"], FileNotFoundError, "does not exist; expected ROOT/CASE"),
         (["--root", root, "--method", "raft"], ValueError, "unknown baseline method 'raft'"),
-        (["--root", root, "--method", "zero", "--size", "320"], ValueError, "--size '320' is not a size"),
+        (["--root", root, "--method", "zero", "--size", "320"], ValueError, "size '320' is not WIDTHxHEIGHT"),
         (["--root", root, "--method", "zero", "--cases", "slwo"], ValueError, "did you mean 'slow'"),
-        (["--root", root, "--method", "zero", "--out", tmp_path / "file"], RuntimeError, "cannot make the folder"),
+        (["--root", root, "--method", "zero", "--out", tmp_path / "file"], ValueError, "file' is a file"),
     ):
+        before = sorted(tmp_path.rglob("*"))
         result = run(*arguments)
+        assert sorted(tmp_path.rglob("*")) == before
         assert isinstance(result.exception, error) and reason in str(result.exception), result.output
-    assert parse_size("full") is None and parse_size("8x16") == (8, 16)
 
 
 def test_the_script_of_the_source_tree_is_the_same_command(root: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,15 +4,16 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import tempfile
 from collections.abc import Iterable
+from contextlib import nullcontext
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from ajna.cli.options import DeviceOption, JsonOption, ThreadsOption, parse_size
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -70,11 +71,12 @@ def evaluate(
         typer.Option(help="Also print the mean without this case; may be repeated or comma-separated."),
     ] = None,
     repeats: Annotated[int, typer.Option(min=1, help="Timed runs per case.")] = 3,
-    device: Annotated[str, typer.Option(help="Where models run: cpu, cuda, cuda:1, ...")] = "cpu",
+    device: DeviceOption = "cpu",
+    threads: ThreadsOption = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder for evaluation.json, an overview picture per case, sparsification.png.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Score flow and uncertainty against ground truth.
 
@@ -85,56 +87,46 @@ def evaluate(
     """
     from rich.console import Console
 
+    from ajna.cli.outputs import check_folder, staged_folder
     from ajna.data.pairs import PairsDataset
     from ajna.evaluation import evaluate as run
 
-    scored_size = parse_size(size)
-    data = PairsDataset(root, _split(cases))
-    methods = _methods(model or [], _split(method), device)
+    scored_size = None if size == "full" else parse_size(size)
     if out is not None:
-        _make_folder(out)
-    console = Console(stderr=True)
-    total = len(data) * len(methods)
-    with console.status("starting") as status:
-        done = 0
+        check_folder(out)
+    data = PairsDataset(root, _split(cases))
+    methods = _methods(model or [], _split(method), device, threads)
+    total, done = len(data) * len(methods), 0
+    with (
+        staged_folder(out) if out is not None else nullcontext() as stage,
+        Console(stderr=True).status("starting") as status,
+    ):
 
         def on_case(name: str, pair: FramePair, field: Any, scores: Scores) -> None:
             nonlocal done
             done += 1
             status.update(f"{done} of {total}: {name} on {pair.name}")
-            if out is not None:
-                _write_overview(out / _file_name(name), name, pair, field)
+            if stage is not None:
+                _write_overview(stage / f"{_file_name(name)}_{_file_name(pair.name)}.png", name, pair, field)
 
         result = run(data, methods, size=scored_size, exclude=_split(exclude), repeats=repeats, on_case=on_case)
-    record = {"dataset": dataset.value, "root": str(root), **result.to_json()}
-    if out is not None:
-        _write_results(out, record, result)
+        record = {"dataset": dataset.value, "root": str(root), **result.to_json()}
+        if stage is not None:
+            _write_results(stage, record, result)
     if as_json:
         typer.echo(json.dumps(record, indent=2))
-    else:
-        screen = Console()
-        print_tables(result, screen if screen.is_terminal else Console(width=_PIPED_WIDTH), root)
-        if out is not None:
-            typer.echo(
-                f"wrote {out / 'evaluation.json'}, {out / 'sparsification.png'} and pictures per method in {out}"
-            )
-
-
-def parse_size(text: str) -> tuple[int, int] | None:
-    """'320x240' -> (320, 240); 'full' -> None. Raises ValueError for anything else."""
-    if text == "full":
-        return None
-    match = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", text)
-    if match is None:
-        raise ValueError(f"--size '{text}' is not a size; give WIDTHxHEIGHT such as 320x240, or 'full'.")
-    return int(match[1]), int(match[2])
+        return
+    screen = Console()
+    print_tables(result, screen if screen.is_terminal else Console(width=_PIPED_WIDTH), root)
+    if out is not None:
+        typer.echo(f"wrote evaluation.json, sparsification.png and {total} overview pictures to {out}")
 
 
 def _split(values: Iterable[str] | None) -> list[str]:
     return [part for value in values or () for part in value.split(",") if part]
 
 
-def _methods(models: list[str], baselines: list[str], device: str) -> dict[str, FlowMethod]:
+def _methods(models: list[str], baselines: list[str], device: str, threads: int | None) -> dict[str, FlowMethod]:
     """Name -> method, models first; the shipped model if nothing is asked for."""
     import ajna
     from ajna.baselines import BASELINES, make_baseline
@@ -148,7 +140,7 @@ def _methods(models: list[str], baselines: list[str], device: str) -> dict[str, 
         name = Path(model).name if Path(model).suffix else model
         if name in methods:
             raise ValueError(f"two models are named '{name}' ({', '.join(models)}); rename one of the files.")
-        methods[name] = ajna.load(model, device=device)
+        methods[name] = ajna.load(model, device=device, threads=threads)
     for name in baselines:
         methods[name] = make_baseline(name)
     return methods
@@ -206,19 +198,11 @@ def _cells(scores: Scores) -> list[str]:
     return ["–" if value is None else form.format(value) for value, form in values]
 
 
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise RuntimeError(f"cannot make the folder '{folder}' ({reason}); give --out another place.") from error
-
-
 def _file_name(name: str) -> str:
     return re.sub(r"[^\w.-]", "_", name)
 
 
-def _write_overview(folder: Path, method: str, pair: FramePair, field: Any) -> None:
+def _write_overview(path: Path, method: str, pair: FramePair, field: Any) -> None:
     import numpy as np
 
     from ajna import io, viz
@@ -226,12 +210,11 @@ def _write_overview(folder: Path, method: str, pair: FramePair, field: Any) -> N
 
     truth = None if pair.flow is None or pair.valid is None else np.where(pair.valid[..., None], pair.flow, np.nan)
     label = "forward-backward distance" if isinstance(field, BaselineField) else "expected error"
-    _make_folder(folder)
     picture = viz.overview(pair.frame1, pair.frame2, field, truth, title=f"{pair.name}: {method}", error_label=label)
-    io.write_image(folder / f"{pair.name}.png", picture)
+    io.write_image(path, picture)
 
 
-def _write_results(out: Path, record: dict[str, Any], result: Evaluation) -> None:
+def _write_results(folder: Path, record: dict[str, Any], result: Evaluation) -> None:
     from ajna import io, viz
 
     curves = {
@@ -239,13 +222,7 @@ def _write_results(out: Path, record: dict[str, Any], result: Evaluation) -> Non
         for name, report in result.methods.items()
         if report.curves is not None
     }
-    io.write_image(out / "sparsification.png", viz.sparsification_plot(curves, "Sparsification, mean over the pairs"))
-    handle, temporary = tempfile.mkstemp(dir=out, prefix=".evaluation", suffix=".json")
-    try:
-        with os.fdopen(handle, "w") as stream:
-            json.dump(record, stream, indent=2)
-        Path(temporary).chmod(0o644)
-        os.replace(temporary, out / "evaluation.json")
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+    io.write_image(
+        folder / "sparsification.png", viz.sparsification_plot(curves, "Sparsification, mean over the pairs")
+    )
+    (folder / "evaluation.json").write_text(json.dumps(record, indent=2))
