@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Images, flow files and video, read strictly and written atomically (C++ on OpenCV; the GIL is released).
 
-Images are RGB uint8 [H, W, 3]; flow is float32 [H, W, 2] in pixels, u to the right, v down. Whatever is not a whole file
-of its format raises one clear ``ValueError``; a missing file or folder ``FileNotFoundError``; a machine that refuses
-(disk full, unwritable folder, lost camera) ``RuntimeError``. A file appears under its name only when it is complete.
+Images are RGB uint8 [H, W, 3]; flow is float32 [H, W, 2] in pixels, u to the right, v down. Whatever is not a whole
+file of its format raises one clear ``ValueError``; a missing file or folder ``FileNotFoundError``; a machine that
+refuses (disk full, unwritable folder, lost camera) ``RuntimeError``. A file appears under its name only when complete.
 """
 
 from __future__ import annotations

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: MIT
+"""Fixtures that several test files share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+FRAME_SHIFT = (3, -2)  # px, (u, v) of `frame_pair`
+
+
+def smooth_texture(height: int, width: int, seed: int) -> NDArray[np.uint8]:
+    """Random RGB uint8 [H, W, 3] without frequencies near the pixel grid's limit; wraps around at its borders."""
+    spectrum = np.fft.rfft2(np.random.default_rng(seed).normal(size=(height, width, 3)), axes=(0, 1))
+    fy, fx = np.fft.fftfreq(height)[:, None, None], np.fft.rfftfreq(width)[None, :, None]
+    image = np.fft.irfft2(spectrum * np.exp(-(fx**2 + fy**2) / (2 * 0.06**2)), s=(height, width), axes=(0, 1))
+    low, high = image.min(), image.max()
+    return np.rint(255 * (image - low) / (high - low)).astype(np.uint8)
+
+
+@pytest.fixture(scope="session")
+def frame_pair() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Two RGB frames uint8 [48, 64, 3]; everything moves by FRAME_SHIFT from the first to the second."""
+    first = smooth_texture(48, 64, seed=1)
+    u, v = FRAME_SHIFT
+    return first, np.roll(first, (v, u), axis=(0, 1))
+
+
+@pytest.fixture(scope="session")
+def tiny_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A checkpoint of a network of width 4 with random weights."""
+    from ajna import nn
+    from ajna.losses import UncertaintyLoss
+
+    torch.manual_seed(0)
+    path = tmp_path_factory.mktemp("model") / "tiny.safetensors"
+    provenance = {"data": "none", "steps": 0}
+    nn.save_checkpoint(
+        path, nn.FlowNet(width=4), name="tiny", loss=UncertaintyLoss(), flow_scale=2.0, provenance=provenance
+    )
+    return path
