@@ -10,7 +10,8 @@ on a PyTorch module works here too: optimizers, ``state_dict``, ``.to``, ``deepc
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
@@ -201,3 +202,79 @@ def count_parameters(module: nn.Module) -> int:
 def count_macs(config: NetConfig, height: int, width: int) -> int:
     """Multiply-accumulates of one forward pass at [height, width] (2 FLOP each)."""
     return _core.count_macs(config, height, width)
+
+
+def network_input(frame1: Tensor, frame2: Tensor) -> Tensor:
+    """Two frames -> the network's input, the only pre-processing anywhere: x / 127.5 - 1, frame 1 before frame 2.
+
+    Args:
+        frame1, frame2: [N, 3, H, W] RGB, uint8 or floating point with values 0 to 255, on one device.
+
+    Returns:
+        float32 [N, 6, H, W] in [-1, 1].
+    """
+    return _core.network_input(frame1, frame2)
+
+
+# How raw uncertainty is tabulated in a checkpoint, so that whoever loads it needs no loss.
+_TABLE_MIN, _TABLE_MAX, _TABLE_STEP = -16.0, 64.0, 1.0 / 64.0
+
+
+def uncertainty_table(loss: Any) -> Any:
+    """What ``raw`` means under ``loss`` (an :class:`ajna.losses.UncertaintyLoss`), as a checkpoint carries it.
+
+    Raises:
+        ValueError: where the loss does not give finite, rising curves (an inadmissible choice of terms).
+    """
+    knots = round((_TABLE_MAX - _TABLE_MIN) / _TABLE_STEP) + 1
+    raw = torch.linspace(_TABLE_MIN, _TABLE_MAX, knots, dtype=torch.float64)
+    with torch.no_grad():
+        uncertainty, error = loss.uncertainty(raw).float(), loss.expected_error(raw).float()
+    return _core.UncertaintyTable(_TABLE_MIN, _TABLE_STEP, uncertainty, error)
+
+
+def save_checkpoint(
+    path: str | os.PathLike[str],
+    net: FlowNet,
+    name: str,
+    loss: Any,
+    flow_scale: float = 1.0,
+    provenance: Mapping[str, Any] | None = None,
+) -> None:
+    """Write ``net`` with all that is needed to use it to a ``.safetensors`` file, atomically.
+
+    Args:
+        path: ends in ``.safetensors``.
+        name: the model's name.
+        loss: the :class:`ajna.losses.UncertaintyLoss` it was trained with; defines the uncertainty.
+        flow_scale: network output times this is pixels.
+        provenance: how it came about; values are stored as text.
+
+    Raises:
+        ValueError: for an unusable loss or path; RuntimeError where the file cannot be written.
+    """
+    metadata = _core.CheckpointMetadata()
+    metadata.name, metadata.net, metadata.flow_scale = name, net.config, flow_scale
+    metadata.loss, metadata.table = loss.describe(), uncertainty_table(loss)
+    metadata.provenance = {key: str(value) for key, value in (provenance or {}).items()}
+    _core.save_checkpoint(os.fspath(path), net._core, metadata)
+
+
+def load_checkpoint(path: str | os.PathLike[str]) -> tuple[FlowNet, dict[str, Any]]:
+    """Read a checkpoint, strictly; nothing in the file is executed.
+
+    Returns:
+        (the network in eval mode, metadata): ``name``, ``flow_scale``, ``loss``, ``provenance`` (a dict) and ``table``
+        (raw -> uncertainty and expected error).
+
+    Raises:
+        FileNotFoundError, ValueError: for a missing file, or one that is truncated or not an Ajna checkpoint.
+    """
+    core, metadata = _core.load_checkpoint(os.fspath(path))
+    return FlowNet._from_core(core), {
+        "name": metadata.name,
+        "flow_scale": metadata.flow_scale,
+        "loss": metadata.loss,
+        "provenance": dict(metadata.provenance),
+        "table": metadata.table,
+    }

@@ -1,0 +1,20 @@
+# SPDX-License-Identifier: MIT
+"""Training on synthetic scenes: Lightning module, sample stream, run folder and command (needs ``lightning``)."""
+
+from ajna.training.data import SyntheticData
+from ajna.training.module import FlowModule
+from ajna.training.options import LossOptions, NetOptions, OptimOptions, Stage, ValidationOptions
+from ajna.training.stream import SceneStream
+from ajna.training.throughput import throughput
+
+__all__ = [
+    "FlowModule",
+    "LossOptions",
+    "NetOptions",
+    "OptimOptions",
+    "SceneStream",
+    "Stage",
+    "SyntheticData",
+    "ValidationOptions",
+    "throughput",
+]

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: MIT
+"""Synthetic scenes as a Lightning data module."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import lightning.pytorch as pl
+import torch
+
+from ajna import synth
+from ajna.training.options import Stage, ValidationOptions, check_stages
+from ajna.training.seeds import validation_seed
+from ajna.training.stream import Batch, SceneStream
+
+
+class Batches:
+    """A fixed sequence of batches as a loader (Lightning takes a list for several loaders)."""
+
+    def __init__(self, batches: Sequence[Batch]) -> None:
+        self._batches = list(batches)
+
+    def __len__(self) -> int:
+        return len(self._batches)
+
+    def __iter__(self) -> Iterator[Batch]:
+        return iter(self._batches)
+
+
+class SyntheticData(pl.LightningDataModule):
+    """Scenes made while training, in batches, on the training device.
+
+    Args:
+        stages: the curriculum, in steps.
+        scene: options of ``ajna.synth.SceneConfig`` that differ from its defaults.
+        validation: the fixed validation scenes; its ``scene`` options are applied over ``scene``.
+        seed: of the sample stream. Equal seeds give equal samples, also over a resume.
+        prefetch: generated batches held ready by a background thread; 0 generates between the steps.
+        photos: folder with photographs to cut textures from.
+        photo_count: textures cut from them.
+    """
+
+    def __init__(
+        self,
+        stages: list[Stage],
+        scene: dict[str, Any] | None = None,
+        validation: ValidationOptions | None = None,
+        seed: int = 1,
+        prefetch: int = 2,
+        photos: str | None = None,
+        photo_count: int = 256,
+    ) -> None:
+        super().__init__()
+        if prefetch < 0:
+            raise ValueError(f"training option data.prefetch = {prefetch}: give 0 or more")
+        self.stages = check_stages(list(stages))
+        self.scene, self.validation = dict(scene or {}), validation or ValidationOptions()
+        self.seed, self.prefetch, self.photos, self.photo_count = seed, prefetch, photos, photo_count
+        # Checked here so that a misspelt option stops the run before it begins.
+        self._scenes = synth.scene_config(self.scene)
+        self._validation_scenes = synth.scene_config({**self.scene, **self.validation.scene})
+        self._generator: Any = None
+
+    def generator(self, device: torch.device | str = "cpu") -> Any:
+        """The training scenes' generator, made once (it holds the textures)."""
+        if self._generator is None:
+            self._generator = make_generator(self._scenes, device, self.photos, self.photo_count, bank_seed=self.seed)
+        return self._generator
+
+    def stream(
+        self, start: int = 0, rank: int = 0, device: torch.device | str = "cpu", prefetch: int | None = None
+    ) -> SceneStream:
+        """Training batches from step ``start`` on."""
+        ahead = self.prefetch if prefetch is None else prefetch
+        return SceneStream(self.generator(device), self.stages, self.seed, rank, start, ahead)
+
+    def validation_batches(self) -> list[Batch]:
+        """The validation scenes: uint8 frames, flow in pixels and occlusion, on the CPU."""
+        options = self.validation
+        # Another texture bank than any training run's, so that no texture was seen.
+        generator = make_generator(self._validation_scenes, "cpu", self.photos, self.photo_count, bank_seed=validation_seed(0))
+        batches = []
+        for number in range(options.batches):
+            pairs = generator(options.batch, options.height, options.width, validation_seed(number + 1))
+            batches.append({name: getattr(pairs, name) for name in ("frame1", "frame2", "flow", "occlusion")})
+        return batches
+
+    def describe(self) -> str:
+        """One line for a model card: where the samples came from."""
+        options = " ".join(f"{name}={value}" for name, value in self.scene.items())
+        return f"synthetic scenes, seed {self.seed}, photographs: {'yes' if self.photos else 'no'}; {options}".rstrip("; ")
+
+    # Lightning hooks. The loaders are plain iterables: scenes need no worker processes.
+
+    def train_dataloader(self) -> SceneStream:
+        trainer = self.trainer
+        assert trainer is not None
+        device = trainer.strategy.root_device
+        return self.stream(trainer.lightning_module.steps_done, trainer.global_rank, device)
+
+    def val_dataloader(self) -> Batches:
+        return Batches(self.validation_batches())
+
+
+def make_generator(
+    config: synth.SceneConfig, device: torch.device | str, photos: str | None, photo_count: int, bank_seed: int
+) -> synth.PairGenerator:
+    """A scene generator whose texture bank follows from ``bank_seed``."""
+    cuts = None
+    if photos is not None:
+        cuts = synth.load_photos(photos, photo_count, config.texture_size, bank_seed)
+    return synth.PairGenerator(config, bank_seed, device, cuts)

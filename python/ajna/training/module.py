@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: MIT
+"""How a network is trained: one optimisation step, the averaged weights, and the validation scores."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+import lightning.pytorch as pl
+import torch
+from torch import Tensor
+
+from ajna.metrics import AUSE, EndPointError, Spearman, end_point_error
+from ajna.nn import load_checkpoint, network_input
+from ajna.training.options import LossOptions, NetOptions, OptimOptions
+
+
+class FlowModule(pl.LightningModule):
+    """FlowNet with the uncertainty loss, trained step by step (there are no epochs).
+
+    Two networks are kept: ``net`` is optimised, ``ema`` is the running average of its weights, which is validated and
+    shipped. Everything that depends on time (learning rate, hand-over from L1, averaging) is a function of
+    ``steps_done``, so that a resumed run continues as if it had not stopped.
+
+    Args:
+        net: shape of the network.
+        loss: the uncertainty loss and the hand-over to it.
+        optim: optimizer, learning rate, clipping, averaging.
+        flow_scale: the network predicts flow in pixels divided by this.
+        init_from: a checkpoint (.safetensors) whose weights to begin with; its shape must be that of ``net``.
+        channels_last: keep weights and activations channels-last (faster on CPUs and tensor cores).
+    """
+
+    def __init__(
+        self,
+        net: NetOptions | None = None,
+        loss: LossOptions | None = None,
+        optim: OptimOptions | None = None,
+        flow_scale: float = 1.0,
+        init_from: str | None = None,
+        channels_last: bool = True,
+    ) -> None:
+        super().__init__()
+        if not (math.isfinite(flow_scale) and flow_scale > 0):
+            raise ValueError(f"training option flow_scale = {flow_scale}: give a number above 0")
+        # Clipping, the guard against non-finite steps and the averaging must happen in one place and order.
+        self.automatic_optimization = False
+        self.options = loss or LossOptions()
+        self.optim = optim or OptimOptions()
+        self.flow_scale = flow_scale
+        self.memory_format = torch.channels_last if channels_last else torch.contiguous_format
+        self.net = (net or NetOptions()).build()
+        if init_from is not None:
+            self._start_from(init_from)
+        self.net.to(memory_format=self.memory_format)
+        self.ema = (net or NetOptions()).build().to(memory_format=self.memory_format)
+        self.ema.load_state_dict(self.net.state_dict())
+        self.ema.requires_grad_(False).eval()
+        self.loss = self.options.build()
+        self.steps_done = 0  # batches taken from the stream, skipped ones included
+        self.samples_done = 0
+        self.skipped = 0
+        self.seconds = 0.0  # spent in training over all resumes
+        self._bad_in_a_row = 0
+        self._scores: dict[str, Any] = {}
+        self._clock: float | None = None
+
+    def _start_from(self, path: str) -> None:
+        loaded, metadata = load_checkpoint(path)
+        if loaded.config != self.net.config:
+            raise ValueError(f"checkpoint '{path}' holds {loaded!r}, not {self.net!r}: give net options that agree")
+        if metadata["flow_scale"] != self.flow_scale:
+            raise ValueError(
+                f"checkpoint '{path}' has flow_scale {metadata['flow_scale']}, not {self.flow_scale}: give that one"
+            )
+        self.net.load_state_dict(loaded.state_dict())
+
+    # --- one step ------------------------------------------------------------------------------------------------
+
+    def configure_optimizers(self) -> torch.optim.Optimizer:
+        options = self.optim
+        # Weight decay is for convolution kernels only; biases and normalisation have one dimension.
+        groups = [
+            {"params": [p for p in self.net.parameters() if p.dim() > 1], "weight_decay": options.weight_decay},
+            {"params": [p for p in self.net.parameters() if p.dim() <= 1], "weight_decay": 0.0},
+        ]
+        kind = {"adamw": torch.optim.AdamW, "adam": torch.optim.Adam}[options.optimizer]
+        return kind(groups, lr=options.lr, betas=tuple(options.betas))
+
+    def forward(self, frame1: Tensor, frame2: Tensor) -> Tensor:
+        """uint8 [N, 3, H, W] RGB twice -> [N, 4, H, W] of the averaged network."""
+        return self.ema(self._input(frame1, frame2))
+
+    def _input(self, frame1: Tensor, frame2: Tensor) -> Tensor:
+        return network_input(frame1, frame2).contiguous(memory_format=self.memory_format)
+
+    def objective(self, output: Tensor, batch: dict[str, Any], step: int) -> Tensor:
+        """The scalar to minimise at ``step``: see LossOptions. ``output`` [N, 4, H, W], float32."""
+        flow, raw = output[:, :2], output[:, 2:]
+        target = batch["flow"] / self.flow_scale
+        weight = None
+        if self.options.occluded_weight != 1.0:
+            weight = torch.where(batch["occlusion"], self.options.occluded_weight, 1.0)
+        share = self.options.flow_share(step)
+        # The value of `led` is the flow, its gradient that of the flow times `share`; raw is not affected.
+        led = flow if share == 1.0 else flow.detach() + share * (flow - flow.detach()) if share else flow.detach()
+        loss = self.loss(led, raw, target, None, weight)
+        if share < 1.0:
+            error = (flow - target).abs()
+            l1 = error.mean() if weight is None else (error * weight).sum() / (2 * weight.sum()).clamp_min(1.0)
+            loss = loss + (1.0 - share) * l1
+        return loss
+
+    def training_step(self, batch: dict[str, Any], batch_idx: int) -> None:
+        step, optimizer = self.steps_done, self.optimizers()
+        assert isinstance(optimizer, pl.core.optimizer.LightningOptimizer)
+        rate = self.optim.lr_at(step, self.trainer.max_steps)
+        for group in optimizer.param_groups:
+            group["lr"] = rate
+        output = self.net(self._input(batch["frame1"], batch["frame2"])).float()
+        loss = self.objective(output, batch, step)
+        optimizer.zero_grad()
+        self.manual_backward(loss)
+        norm = torch.nn.utils.clip_grad_norm_(self.net.parameters(), self.optim.gradient_clip)
+        if self._usable(loss.detach(), norm):
+            optimizer.step()
+            self._average()
+        self.steps_done += 1
+        self.samples_done += batch["flow"].shape[0] * self.trainer.world_size
+        if step % max(self.trainer.log_every_n_steps, 1) == 0:
+            with torch.no_grad():
+                error = end_point_error(output[:, :2] * self.flow_scale, batch["flow"]).mean()
+            scores = {"loss": loss.detach(), "epe": error, "lr": rate, "gradient_norm": norm, "skipped": self.skipped}
+            self.log_dict({f"train/{name}": float(value) for name, value in scores.items()})
+
+    def _usable(self, loss: Tensor, norm: Tensor) -> bool:
+        """Whether this step's update may be applied; the same answer on all ranks, as gradients are shared."""
+        if bool(torch.isfinite(loss) & torch.isfinite(norm)):
+            self._bad_in_a_row = 0
+            return True
+        self.skipped += 1
+        self._bad_in_a_row += 1
+        if self._bad_in_a_row >= self.optim.max_bad_steps:
+            raise RuntimeError(
+                f"loss or gradient was not finite for {self._bad_in_a_row} steps in a row (step {self.steps_done}): "
+                "resume from the last checkpoint with a lower optim.lr"
+            )
+        return False
+
+    @torch.no_grad()
+    def _average(self) -> None:
+        # Early on the average follows quickly, or the random start would linger in it.
+        decay = min(self.optim.ema_decay, (1 + self.steps_done) / (10 + self.steps_done)) if self.optim.ema_decay else 0.0
+        theirs = [t for t in (*self.net.parameters(), *self.net.buffers()) if t.is_floating_point()]
+        mine = [t for t in (*self.ema.parameters(), *self.ema.buffers()) if t.is_floating_point()]
+        torch._foreach_lerp_(mine, theirs, 1.0 - decay)
+        for average, current in zip(self.ema.buffers(), self.net.buffers(), strict=True):
+            if not average.is_floating_point():
+                average.copy_(current)
+
+    def train(self, mode: bool = True) -> FlowModule:
+        super().train(mode)
+        self.ema.eval()  # never in training mode: its statistics are averages, too
+        return self
+
+    # --- validation ----------------------------------------------------------------------------------------------
+
+    def on_validation_epoch_start(self) -> None:
+        self._scores = {"epe": EndPointError(), "zero": EndPointError(), "ause": AUSE(), "spearman": Spearman()}
+        self._scores = {name: metric.to(self.device) for name, metric in self._scores.items()}
+        self._losses: list[Tensor] = []
+
+    def validation_step(self, batch: dict[str, Any], batch_idx: int) -> None:
+        output = self(batch["frame1"], batch["frame2"]).float()
+        flow, uncertainty = output[:, :2] * self.flow_scale, self.loss.uncertainty(output[:, 2:])
+        self._losses.append(self.loss(output[:, :2], output[:, 2:], batch["flow"] / self.flow_scale))
+        self._scores["epe"].update(flow, batch["flow"])
+        self._scores["zero"].update(torch.zeros_like(flow), batch["flow"])
+        for name in ("ause", "spearman"):
+            self._scores[name].update(flow, batch["flow"], uncertainty)
+
+    def on_validation_epoch_end(self) -> None:
+        values = {name: float(metric.compute()) for name, metric in self._scores.items()}
+        values["loss"] = float(torch.stack(self._losses).mean())
+        values["epe_ratio"] = values["epe"] / values.pop("zero")
+        self.log_dict({f"val/{name}": value for name, value in values.items()})
+
+    # --- accounting ----------------------------------------------------------------------------------------------
+
+    def on_train_batch_start(self, batch: Any, batch_idx: int) -> None:
+        if self._clock is None:
+            self._clock = time.monotonic()
+
+    def on_train_batch_end(self, outputs: Any, batch: Any, batch_idx: int) -> None:
+        now = time.monotonic()
+        self.seconds += now - (self._clock or now)
+        self._clock = now
+
+    def on_validation_end(self) -> None:
+        self._clock = None  # validation is not training time
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        names = ("steps_done", "samples_done", "skipped", "seconds")
+        checkpoint["ajna"] = {name: getattr(self, name) for name in names}
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        for name, value in checkpoint["ajna"].items():
+            setattr(self, name, value)
+
+    def provenance(self) -> dict[str, str]:
+        """How the weights came about, for the checkpoint's metadata."""
+        return {
+            "steps": str(self.steps_done),
+            "samples": str(self.samples_done),
+            "training_seconds": f"{self.seconds:.0f}",
+            "skipped_steps": str(self.skipped),
+            "torch": torch.__version__,
+        }

@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: MIT
+"""What a training config chooses, group by group; unknown keys are refused by the parser."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+from ajna import _core
+from ajna.losses import UncertaintyLoss
+from ajna.nn import FlowNet, NetConfig
+
+_NET = NetConfig()
+_LOSS = _core.LossConfig()
+
+Term = str | dict[str, Any]
+
+
+@dataclass
+class NetOptions:
+    """Shape of the network."""
+
+    width: int = _NET.width
+    expansion: int = _NET.expansion
+    sub_blocks: int = _NET.sub_blocks
+
+    def build(self) -> FlowNet:
+        return FlowNet(width=self.width, expansion=self.expansion, sub_blocks=self.sub_blocks)
+
+
+@dataclass
+class LossOptions:
+    """The uncertainty loss, and how the flow is led to it.
+
+    The raw uncertainty learns from the first step on, by the uncertainty loss. The flow begins with plain L1 (with the
+    uncertainty loss's weights still meaningless, hard pixels would be written off), and is handed over to the
+    uncertainty loss between ``l1_steps`` and ``l1_steps + blend_steps``; ``l1_share`` of L1 remains for good.
+    """
+
+    f: Term = _LOSS.f.name
+    h: Term = _LOSS.h.name
+    g: Term = _LOSS.g.name
+    lam: float = _LOSS.lam
+    parametrization: Term = _LOSS.parametrization.name
+    l1_steps: int = 1000
+    blend_steps: int = 2000
+    l1_share: float = 0.0
+    occluded_weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        _require(self.l1_steps >= 0, "loss.l1_steps", self.l1_steps, "give 0 or more")
+        _require(self.blend_steps >= 0, "loss.blend_steps", self.blend_steps, "give 0 or more")
+        _require(0 <= self.l1_share <= 1, "loss.l1_share", self.l1_share, "give 0 to 1")
+        _require(self.occluded_weight >= 0, "loss.occluded_weight", self.occluded_weight, "give 0 or more")
+
+    def build(self) -> UncertaintyLoss:
+        return UncertaintyLoss(self.f, self.h, self.g, self.lam, self.parametrization)
+
+    def flow_share(self, step: int) -> float:
+        """Share of the uncertainty loss in the flow's gradient at ``step``, 0 to 1 - l1_share; the rest is L1."""
+        t = (step - self.l1_steps) / max(self.blend_steps, 1)
+        t = min(max(t, 0.0), 1.0) if self.blend_steps else float(step >= self.l1_steps)
+        return t * t * (3.0 - 2.0 * t) * (1.0 - self.l1_share)
+
+
+@dataclass
+class OptimOptions:
+    """Optimizer, learning rate over steps, clipping and weight averaging."""
+
+    optimizer: str = "adamw"
+    lr: float = 4e-4
+    weight_decay: float = 1e-4
+    betas: tuple[float, float] = (0.9, 0.999)
+    warmup_steps: int = 500
+    final_lr_ratio: float = 0.01
+    gradient_clip: float = 1.0
+    ema_decay: float = 0.999
+    max_bad_steps: int = 20
+
+    def __post_init__(self) -> None:
+        _require(self.optimizer in ("adamw", "adam"), "optim.optimizer", self.optimizer, "give adamw or adam")
+        _require(math.isfinite(self.lr) and self.lr > 0, "optim.lr", self.lr, "give a number above 0")
+        _require(self.warmup_steps >= 0, "optim.warmup_steps", self.warmup_steps, "give 0 or more")
+        _require(0 <= self.final_lr_ratio <= 1, "optim.final_lr_ratio", self.final_lr_ratio, "give 0 to 1")
+        _require(self.gradient_clip > 0, "optim.gradient_clip", self.gradient_clip, "give a number above 0")
+        _require(0 <= self.ema_decay < 1, "optim.ema_decay", self.ema_decay, "give 0 (off) to below 1")
+        _require(self.max_bad_steps >= 1, "optim.max_bad_steps", self.max_bad_steps, "give at least 1")
+
+    def lr_at(self, step: int, total_steps: int) -> float:
+        """Linear rise over ``warmup_steps``, then half a cosine down to ``final_lr_ratio * lr`` at ``total_steps``."""
+        if step < self.warmup_steps:
+            return self.lr * (step + 1) / self.warmup_steps
+        t = min(1.0, (step - self.warmup_steps) / max(total_steps - self.warmup_steps, 1))
+        return self.lr * (self.final_lr_ratio + (1 - self.final_lr_ratio) * 0.5 * (1 + math.cos(math.pi * t)))
+
+
+@dataclass
+class Stage:
+    """One step of the curriculum, from ``from_step`` until the next stage begins.
+
+    ``motion`` multiplies the scene's flow_mean_px and flow_max_px. With ``reuse`` K > 1, ``pool`` generated batches are
+    used K times each, shuffled among each other, flipped and with permuted colour channels (all exact for the flow).
+    """
+
+    from_step: int
+    height: int
+    width: int
+    batch: int
+    motion: float = 1.0
+    reuse: int = 1
+    pool: int = 8
+
+    def __post_init__(self) -> None:
+        _require(self.from_step >= 0, "stage.from_step", self.from_step, "give 0 or more")
+        for name in ("height", "width", "batch", "reuse", "pool"):
+            _require(getattr(self, name) >= 1, f"stage.{name}", getattr(self, name), "give at least 1")
+        _require(math.isfinite(self.motion) and self.motion > 0, "stage.motion", self.motion, "give a number above 0")
+
+
+@dataclass
+class ValidationOptions:
+    """The fixed validation scenes: ``batches`` batches of ``batch`` pairs, the same in every run."""
+
+    batches: int = 4
+    batch: int = 8
+    height: int = 240
+    width: int = 320
+    scene: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in ("batches", "batch", "height", "width"):
+            _require(getattr(self, name) >= 1, f"validation.{name}", getattr(self, name), "give at least 1")
+
+
+def check_stages(stages: list[Stage]) -> list[Stage]:
+    """The stages in order; raises ValueError unless the first begins at 0 and each begins after the one before."""
+    _require(bool(stages), "data.stages", "[]", "give at least one stage")
+    _require(stages[0].from_step == 0, "from_step of the first stage", stages[0].from_step, "give 0")
+    for before, after in zip(stages, stages[1:], strict=False):
+        _require(before.from_step < after.from_step, "stage.from_step", after.from_step, "give rising steps")
+    return stages
+
+
+def _require(ok: bool, name: str, value: Any, remedy: str) -> None:
+    if not ok:
+        raise ValueError(f"training option {name} = {value}: {remedy}")

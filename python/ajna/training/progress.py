@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: MIT
+"""Progress in steps and samples per second, and pictures of what the network sees."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import lightning.pytorch as pl
+import numpy as np
+import torch
+from lightning.pytorch.callbacks import TQDMProgressBar
+from lightning.pytorch.loggers import TensorBoardLogger
+
+from ajna import viz
+from ajna.training.run_folder import atomic_path
+
+
+class Throughput(pl.Callback):
+    """Logs train/samples_per_s (validation not counted), and without a terminal prints one line every ``every`` steps."""
+
+    def __init__(self, every: int) -> None:
+        self.every = max(every, 1)
+        self._mark: tuple[float, int, int] | None = None
+        self._begin: tuple[float, int] | None = None
+
+    def on_validation_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        self._mark = None
+
+    def on_train_batch_end(self, trainer: pl.Trainer, pl_module: Any, *args: Any) -> None:
+        now, steps, samples = time.monotonic(), pl_module.steps_done, pl_module.samples_done
+        self._begin = self._begin or (now, steps)
+        if self._mark is None:
+            self._mark = (now, steps, samples)
+            return
+        if steps % self.every:
+            return
+        rate = (samples - self._mark[2]) / max(now - self._mark[0], 1e-9)
+        self._mark = (now, steps, samples)
+        pl_module.log("train/samples_per_s", rate, prog_bar=True)
+        if not sys.stderr.isatty() and trainer.is_global_zero:
+            left = (now - self._begin[0]) / max(steps - self._begin[1], 1) * (trainer.max_steps - trainer.global_step)
+            scores = trainer.callback_metrics
+            shown = [f"{k} {float(scores[k]):.4g}" for k in ("train/loss", "train/epe", "val/epe") if k in scores]
+            print(
+                f"step {steps}/{trainer.max_steps}  {'  '.join(shown)}  {rate:.1f} samples/s  "
+                f"{_duration(left)} left", file=sys.stderr, flush=True,
+            )
+
+
+class StepProgressBar(TQDMProgressBar):
+    """One bar over all steps of the run; silent without a terminal (Throughput prints lines there)."""
+
+    def __init__(self, refresh_rate: int = 10) -> None:
+        super().__init__(refresh_rate=refresh_rate if sys.stderr.isatty() else 0)
+
+    @property
+    def total_train_batches(self) -> int:
+        return self.trainer.max_steps
+
+
+class Pictures(pl.Callback):
+    """After each validation: frames, true flow, flow, expected error and true error of the first validation pairs, to
+    TensorBoard and as ``pictures/step-*.png`` of the run folder. Flow and error scales are those of the ground truth.
+    """
+
+    def __init__(self, folder: str | Path, count: int = 4) -> None:
+        self.folder, self.count = Path(folder), count
+
+    def on_validation_end(self, trainer: pl.Trainer, pl_module: Any) -> None:
+        if not trainer.is_global_zero or trainer.sanity_checking or self.count < 1:
+            return
+        from PIL import Image
+
+        loader: Any = trainer.val_dataloaders
+        picture = self.draw(pl_module, next(iter(loader)))
+        with atomic_path(self.folder / f"step-{pl_module.steps_done:07d}.png") as temporary:
+            Image.fromarray(picture).save(temporary)
+        for logger in trainer.loggers:
+            if isinstance(logger, TensorBoardLogger):
+                logger.experiment.add_image("val/pairs", picture, pl_module.steps_done, dataformats="HWC")
+
+    @torch.no_grad()
+    def draw(self, module: Any, batch: dict[str, Any]) -> np.ndarray[Any, Any]:
+        """One row per pair: frame 1, frame 2, true flow, flow, expected error, true error; uint8 [H', W', 3]."""
+        first = {name: value[: self.count].to(module.device) for name, value in batch.items()}
+        output = module(first["frame1"], first["frame2"]).float()
+        expected = module.loss.expected_error(output[:, 2:]) * module.flow_scale
+        arrays = (first["frame1"], first["frame2"], first["flow"], output[:, :2] * module.flow_scale, expected)
+        rows = []
+        for one, two, truth, flow, sigma in zip(*(a.permute(0, 2, 3, 1).cpu().numpy() for a in arrays), strict=True):
+            scale = viz.robust_scale(np.linalg.norm(truth, axis=2))
+            error = np.linalg.norm(flow - truth, axis=2)
+            top = viz.robust_scale(error)
+            rows.append(
+                np.hstack(
+                    [
+                        one, two, viz.flow_to_image(truth, scale), viz.flow_to_image(flow, scale),
+                        viz.uncertainty_to_image(np.linalg.norm(sigma, axis=2), 0.0, top),
+                        viz.uncertainty_to_image(error, 0.0, top),
+                    ]
+                )
+            )  # fmt: skip
+        return np.vstack(rows)
+
+
+def _duration(seconds: float) -> str:
+    minutes = round(seconds / 60)
+    return f"{minutes // 60} h {minutes % 60:02d} min" if minutes >= 60 else f"{minutes} min"
