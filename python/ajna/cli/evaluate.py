@@ -82,8 +82,7 @@ def evaluate(
 
     Example: ajna evaluate --root data/pairs --model best --method dis --out out/evaluation
 
-    The means of EPE, Fl-all and their ratio leave out sintel_market5_final_0002 where it is present: its motion of up
-    to 132 px is for judging uncertainty only.
+    A case named sintel_market5_final_0002 (motion up to 132 px) counts for uncertainty only, not in the mean EPE.
     """
     from rich.console import Console
 
