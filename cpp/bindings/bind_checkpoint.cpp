@@ -3,6 +3,7 @@
 
 #include "ajna/nn/checkpoint.hpp"
 #include "ajna/nn/preprocess.hpp"
+#include "ajna/nn/torchscript.hpp"
 #include "bindings.hpp"
 
 namespace ajna::bindings {
@@ -57,6 +58,13 @@ void bind_checkpoint(py::module_& m) {
       },
       "path"_a, "net"_a, "metadata"_a, py::call_guard<py::gil_scoped_release>(),
       "Write a .safetensors checkpoint atomically; `net` is a FlowNetCore.");
+  m.def(
+      "export_torchscript",
+      [](const std::filesystem::path& path, const FlowNetImpl& net, const Metadata& metadata) {
+        nn::export_torchscript(net, metadata, path.string());
+      },
+      "path"_a, "net"_a, "metadata"_a, py::call_guard<py::gil_scoped_release>(),
+      "Write a frozen TorchScript file with methods forward and predict, verified and atomically.");
   m.def(
       "load_checkpoint",
       [](const std::filesystem::path& path) {

@@ -12,6 +12,7 @@ void bind_nn(pybind11::module_& m);
 void bind_loss(pybind11::module_& m);
 void bind_synth(pybind11::module_& m);
 void bind_checkpoint(pybind11::module_& m);  ///< network_input, checkpoints, TorchScript export
+void bind_engine(pybind11::module_& m);
 #ifdef AJNA_WITH_VISION
 void bind_io(pybind11::module_& m);  ///< images, flow files, video
 #endif

@@ -8,6 +8,7 @@ PYBIND11_MODULE(_core, m) {
   ajna::bindings::bind_loss(m);
   ajna::bindings::bind_synth(m);
   ajna::bindings::bind_checkpoint(m);
+  ajna::bindings::bind_engine(m);
 #ifdef AJNA_WITH_VISION
   ajna::bindings::bind_io(m);
   m.attr("with_vision") = true;

@@ -24,7 +24,8 @@ void write_atomically(const std::string& path, const std::function<void(const st
     throw_not_found(folder.string(), "create this folder before writing '" + target.filename().string() + "'");
   }
   if (!fs::is_directory(folder, ignored)) {
-    throw_invalid("output file '" + path + "' lies below '" + folder.string() + "', which is not a folder: give a folder");
+    throw_invalid("output file '" + path + "' lies below '" + folder.string() +
+                  "', which is not a folder: give a folder");
   }
   if (::access(folder.c_str(), W_OK | X_OK) != 0) {
     throw_runtime("folder '" + folder.string() + "' cannot be written: choose another one or change its permissions");

@@ -5,10 +5,10 @@
 #include <charconv>
 #include <cmath>
 #include <filesystem>
-#include <mutex>
 #include <utility>
 
 #include "ajna/base/error.hpp"
+#include "ajna/nn/random_state_guard.hpp"
 #include "ajna/nn/safetensors.hpp"
 
 namespace ajna::nn {
@@ -74,25 +74,6 @@ void check_scalars(const Metadata& metadata) {
     }
   }
 }
-
-/// Building a network draws random initial weights, which loading overwrites: put the generator back.
-class RandomStateGuard {
- public:
-  RandomStateGuard() : generator_(at::detail::getDefaultCPUGenerator()) {
-    const std::lock_guard<std::mutex> lock(generator_.mutex());
-    state_ = generator_.get_state();
-  }
-  ~RandomStateGuard() {
-    const std::lock_guard<std::mutex> lock(generator_.mutex());
-    generator_.set_state(state_);
-  }
-  RandomStateGuard(const RandomStateGuard&) = delete;
-  RandomStateGuard& operator=(const RandomStateGuard&) = delete;
-
- private:
-  at::Generator generator_;
-  torch::Tensor state_;
-};
 
 void check_finite(const torch::Tensor& tensor, const std::string& name) {
   if (tensor.is_floating_point() && !tensor.isfinite().all().item<bool>()) {

@@ -42,7 +42,7 @@ class Cursor {
   explicit Cursor(std::string_view text) : text_(text) {}
 
   [[noreturn]] void fail(const std::string& what) const {
-    throw_invalid("header breaks the safetensors format at byte " + std::to_string(position_) + ": " + what);
+    throw_invalid("its header breaks the format at byte " + std::to_string(position_) + ": " + what);
   }
 
   void skip_space() {
@@ -222,6 +222,24 @@ void parse_object(Cursor& cursor, const Member& member) {
   cursor.expect('}');
 }
 
+std::map<std::string, std::string> parse_strings(Cursor& cursor) {
+  std::map<std::string, std::string> strings;
+  parse_object(cursor, [&](std::string key) {
+    std::string value = cursor.string();
+    if (!strings.emplace(std::move(key), std::move(value)).second) {
+      cursor.fail("duplicate key in the metadata");
+    }
+  });
+  return strings;
+}
+
+void finish(Cursor& cursor) {
+  cursor.skip_space();
+  if (!cursor.at_end()) {
+    cursor.fail("text after the end of the header");
+  }
+}
+
 std::vector<std::int64_t> parse_integers(Cursor& cursor, std::size_t limit) {
   std::vector<std::int64_t> values;
   cursor.expect('[');
@@ -301,12 +319,7 @@ SafetensorsHeader parse_safetensors_header(std::string_view text) {
         cursor.fail("duplicate key '__metadata__'");
       }
       has_metadata = true;
-      parse_object(cursor, [&](std::string name) {
-        std::string value = cursor.string();
-        if (!header.metadata.emplace(std::move(name), std::move(value)).second) {
-          cursor.fail("duplicate key in the metadata");
-        }
-      });
+      header.metadata = parse_strings(cursor);
     } else {
       TensorEntry entry = parse_entry(cursor);
       if (!header.tensors.emplace(std::move(key), std::move(entry)).second) {
@@ -314,26 +327,38 @@ SafetensorsHeader parse_safetensors_header(std::string_view text) {
       }
     }
   });
-  cursor.skip_space();
-  if (!cursor.at_end()) {
-    cursor.fail("text after the end of the header");
-  }
+  finish(cursor);
   return header;
+}
+
+std::map<std::string, std::string> parse_string_map(std::string_view text) {
+  Cursor cursor(text);
+  auto strings = parse_strings(cursor);
+  finish(cursor);
+  return strings;
+}
+
+std::string format_string_map(const std::map<std::string, std::string>& strings) {
+  std::string text = "{";
+  const char* separator = "";
+  for (const auto& [key, value] : strings) {
+    text += separator;
+    append_quoted(text, key);
+    text += ':';
+    append_quoted(text, value);
+    separator = ",";
+  }
+  text += '}';
+  return text;
 }
 
 std::string format_safetensors_header(const SafetensorsHeader& header) {
   std::string text = "{";
   const char* separator = "";
   if (!header.metadata.empty()) {
-    text += "\"__metadata__\":{";
-    for (const auto& [key, value] : header.metadata) {
-      text += separator;
-      append_quoted(text, key);
-      text += ':';
-      append_quoted(text, value);
-      separator = ",";
-    }
-    text += '}';
+    text += "\"__metadata__\":";
+    text += format_string_map(header.metadata);
+    separator = ",";
   }
   for (const auto& [name, entry] : header.tensors) {
     text += separator;

@@ -31,4 +31,8 @@ SafetensorsHeader parse_safetensors_header(std::string_view text);
 /// The inverse, with keys in alphabetical order. Names and metadata must be UTF-8.
 std::string format_safetensors_header(const SafetensorsHeader& header);
 
+/// The same for a flat JSON object of strings, {"key": "value", ...}, which a TorchScript file carries as ajna.json.
+std::map<std::string, std::string> parse_string_map(std::string_view text);
+std::string format_string_map(const std::map<std::string, std::string>& strings);
+
 }  // namespace ajna::nn
