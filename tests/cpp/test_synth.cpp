@@ -139,7 +139,7 @@ TEST(PairGenerator, OcclusionAgreesWithBruteForceVisibility) {
   EXPECT_GT(compared, 50000);
   EXPECT_GT(hidden, 200);
   // A bar thinner than a pixel may pass between the grid points of layer2.
-  EXPECT_LE(wrong, compared / 20000) << "of " << compared << " compared pixels, " << hidden << " hidden";
+  EXPECT_LE(wrong * 100, hidden) << wrong << " of " << compared << " compared pixels, " << hidden << " hidden";
 }
 
 TEST(PairGenerator, EqualSeedsGiveEqualBitsAndOtherSeedsOtherScenes) {
@@ -197,6 +197,18 @@ TEST(PairGenerator, FlowMagnitudesFollowTheChosenDistribution) {
   EXPECT_NEAR(log_uniform.log().mean().item<float>(), 0.5F * std::log(0.1F * 12.0F), 0.1F);
 }
 
+TEST(PairGenerator, PlatesDoNotMoveWildlyAtTheCorners) {
+  auto config = clean_config();
+  config.blob_weight = config.polygon_weight = config.bar_weight = 0;
+  config.parallax_probability = 0;
+  config.perspective_probability = 1;
+  config.flow_max_px = 10;
+  const PairGenerator generator(config, 1);
+  const auto magnitude = generator.generate(32, 72, 96, 4).flow.norm(2, 1);
+  // Own translation, the background's, and rotation, zoom, perspective and waves on top.
+  EXPECT_LT(magnitude.max().item<float>(), 6 * 10.0F);
+}
+
 TEST(PairGenerator, RefusesImpossibleOptions) {
   SceneConfig config;
   config.bank_size = 2;
@@ -222,7 +234,8 @@ TEST(LayerMotion, MapsAreInverseToEachOther) {
   config.nonrigid_probability = 1;
   config.flow_mean_px = 8;
   Random random(5);
-  LayerPlacement place{torch::full({4, 3}, 40.0F), torch::full({4, 3}, 30.0F), random.uniform({4, 3}, 10, 40)};
+  const auto radius = random.uniform({4, 3}, 10, 40);
+  const LayerPlacement place{torch::full({4, 3}, 40.0F), torch::full({4, 3}, 30.0F), radius, radius.clamp_min(50.0)};
   const auto motion = draw_motion(config, place, 60, 80, random);
   const auto x = torch::arange(80, torch::kFloat32).view({1, 1, -1}).expand({12, 60, 80});
   const auto y = torch::arange(60, torch::kFloat32).view({1, -1, 1}).expand({12, 60, 80});

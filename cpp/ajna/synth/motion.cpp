@@ -119,10 +119,8 @@ LayerMotion draw_motion(const SceneConfig& c, const LayerPlacement& place, std::
   const auto direction = random.uniform({batch, layers}, 0, 2 * kPi);
   auto tx = magnitude * direction.cos(), ty = magnitude * direction.sin();
 
-  // Rotation and zoom move the rim of the layer (the image corner for the background) by a share of its displacement.
-  auto rim = place.radius.clone();
-  rim.select(1, 0).fill_(0.5 * std::hypot(static_cast<double>(height), static_cast<double>(width)));
-  rim = rim.clamp_min(0.1 * static_cast<double>(std::min(height, width)));
+  // Rotation and zoom move the rim of what is seen of the layer by a share of its displacement.
+  const auto rim = place.extent.clamp_min(0.1 * static_cast<double>(std::min(height, width)));
   auto angle = (random.normal({batch, layers}, c.rotation_zoom) * magnitude / rim).clamp(-0.5, 0.5);
   auto scale = (random.normal({batch, layers}, c.rotation_zoom) * magnitude / rim).clamp(-0.35, 0.35).exp();
 

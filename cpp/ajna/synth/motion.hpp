@@ -41,7 +41,8 @@ struct LayerMotion {
 /// Sizes and places of the layers of B scenes; row 0 of each scene is the background.
 struct LayerPlacement {
   torch::Tensor center_x, center_y;  ///< [B, L], pixels
-  torch::Tensor radius;              ///< [B, L], pixels
+  torch::Tensor radius;              ///< [B, L], pixels: the outline's unit
+  torch::Tensor extent;              ///< [B, L], pixels: how far from the centre the layer can be seen
 };
 
 /// Draw the motions of B scenes with L layers each, rows ordered [B * L], nearest layer last.

@@ -43,8 +43,8 @@ struct Scene {
   CameraEffects camera;
 };
 
-LayerPlacement draw_placement(const SceneConfig& c, std::int64_t batch, std::int64_t layers, std::int64_t height,
-                              std::int64_t width, Random& random) {
+LayerPlacement draw_placement(const SceneConfig& c, const ShapeSet& shapes, std::int64_t batch, std::int64_t layers,
+                              std::int64_t height, std::int64_t width, Random& random) {
   const double side = static_cast<double>(std::min(height, width));
   LayerPlacement place;
   place.center_x = random.uniform({batch, layers}, -0.05, 1.05) * static_cast<double>(width - 1);
@@ -53,6 +53,11 @@ LayerPlacement draw_placement(const SceneConfig& c, std::int64_t batch, std::int
   // The background turns about the image centre.
   place.center_x.select(1, 0).fill_(0.5 * static_cast<double>(width - 1));
   place.center_y.select(1, 0).fill_(0.5 * static_cast<double>(height - 1));
+  // The background and plates fill the image; a motion that is moderate at their radius would be wild at its corners.
+  const double diagonal = std::hypot(static_cast<double>(height), static_cast<double>(width));
+  place.extent = torch::where(shapes.unbounded().view({batch, layers}), torch::full_like(place.radius, diagonal),
+                              place.radius.clone());
+  place.extent.select(1, 0).fill_(0.5 * diagonal);
   return place;
 }
 
@@ -216,9 +221,9 @@ PairBatch PairGenerator::generate(std::int64_t batch, std::int64_t height, std::
 
   Random random(seed);
   const std::int64_t layers = config_.layers + 1;
-  const auto place = draw_placement(config_, batch, layers, height, width, random);
-  const auto present = random.chance({batch, layers}, config_.layer_probability).to(torch::kFloat32);
   const ShapeSet shapes(config_, batch * layers, random);
+  const auto place = draw_placement(config_, shapes, batch, layers, height, width, random);
+  const auto present = random.chance({batch, layers}, config_.layer_probability).to(torch::kFloat32);
   const auto motion = draw_motion(scaled, place, height, width, random);
   const auto look = draw_appearance(config_, bank_, batch, layers, random);
   const auto camera = draw_camera_effects(config_, batch, random);
@@ -234,7 +239,7 @@ PairBatch PairGenerator::generate(std::int64_t batch, std::int64_t height, std::
                       layers,
                       height,
                       width,
-                      {part(place.center_x), part(place.center_y), part(place.radius)},
+                      {part(place.center_x), part(place.center_y), part(place.radius), part(place.extent)},
                       part(present),
                       shapes.slice(begin * layers, end * layers, device_),
                       motion.slice(begin * layers, end * layers, device_),

@@ -89,7 +89,8 @@ ShapeSet::ShapeSet(const SceneConfig& config, std::int64_t rows, Random& random)
   const auto side = random.uniform({rows, 1, 1}, 1.05, 1.25);
   const auto frame = side - torch::maximum(grid.x.abs(), grid.y.abs());
   const auto plate = torch::where(by_row(random.chance({rows}, 0.5)), torch::minimum(frame, -hole), -hole);
-  raster_ = torch::where(by_row(pick >= plate_from), plate, raster_).contiguous();
+  unbounded_ = pick >= plate_from;
+  raster_ = torch::where(by_row(unbounded_), plate, raster_).contiguous();
 
   is_bar_ = (pick >= bar_from).logical_and(pick < plate_from);
   // A trunk through the middle and up to three twigs that start on it.
@@ -113,6 +114,7 @@ ShapeSet::ShapeSet(const SceneConfig& config, std::int64_t rows, Random& random)
 ShapeSet ShapeSet::slice(std::int64_t begin, std::int64_t end, const torch::Device& device) const {
   ShapeSet part;
   part.raster_ = raster_.slice(0, begin, end).to(device);
+  part.unbounded_ = unbounded_.slice(0, begin, end).to(device);
   part.is_bar_ = is_bar_.slice(0, begin, end).to(device);
   part.segments_ = segments_.slice(0, begin, end).to(device);
   part.radius_ = radius_.slice(0, begin, end).to(device);

@@ -19,6 +19,9 @@ class ShapeSet {
   /// Signed distance at local coordinates x, y: float [R, H, W] -> [R, H, W].
   [[nodiscard]] torch::Tensor signed_distance(const torch::Tensor& x, const torch::Tensor& y) const;
 
+  /// bool [R]: plates, which reach far beyond their radius; on the CPU as drawn.
+  [[nodiscard]] const torch::Tensor& unbounded() const noexcept { return unbounded_; }
+
   /// The shapes of rows [begin, end), on `device`.
   [[nodiscard]] ShapeSet slice(std::int64_t begin, std::int64_t end, const torch::Device& device) const;
 
@@ -27,6 +30,7 @@ class ShapeSet {
 
   torch::Tensor raster_;    // [R, Q, Q] over [-kExtent, kExtent]^2
   torch::Tensor is_bar_;    // bool [R]
+  torch::Tensor unbounded_;  // bool [R]
   torch::Tensor segments_;  // [R, S, 4]: x0, y0, x1, y1
   torch::Tensor radius_;    // [R, S]: half thickness of each segment
 };
