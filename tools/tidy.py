@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""clang-tidy over the C++ sources of cpp/, in parallel, remembering what passed.
+"""clang-tidy over the C++ libraries and applications, in parallel, remembering what passed.
 
 tidy.py COMPILE_COMMANDS: LibTorch's headers cost about ten seconds a file, so a file whose content, headers of ours,
-flags, checks and tools are as they were when it last passed is skipped ($XDG_CACHE_HOME/ajna/clang-tidy). Tests are
-left to the compiler's warnings.
+flags, checks and tools are as they were when it last passed is skipped ($XDG_CACHE_HOME/ajna/clang-tidy). Tests,
+benchmarks and bindings (conversions only) are left to the compiler's warnings.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def without_precompiled_header(command: str) -> list[str]:
         if skip:
             skip = False
         elif word == "-include" and following.endswith("cmake_pch.hxx"):
-            kept += ["-include", "torch/extension.h" if "ajna_core" in following else "torch/torch.h"]
+            kept += ["-include", "torch/torch.h"]
             skip = True
         elif word != "-Winvalid-pch":
             kept.append(word)
@@ -61,7 +61,7 @@ def main(compile_commands: Path) -> int:
     entries = []
     for entry in json.loads(compile_commands.read_text()):
         source = Path(entry["file"]).resolve()
-        if source.is_relative_to(ROOT / "cpp"):
+        if source.is_relative_to(ROOT / "cpp" / "ajna") or source.is_relative_to(ROOT / "cpp" / "apps"):
             entries.append((source, without_precompiled_header(entry["command"]), entry["directory"]))
 
     CACHE.mkdir(parents=True, exist_ok=True)
