@@ -35,9 +35,9 @@ void bind_flow_net(py::module_& m) {
            "[N, in_channels, H, W] float in [-1, 1] -> [N, out_channels, H, W]; any H and W.")
       .def("forward_aligned", &FlowNetImpl::forward_aligned, "x"_a, py::call_guard<py::gil_scoped_release>(),
            "As forward, without padding: both sides are multiples of config.stride.")
-      .def("module_names",
-           [](const FlowNetImpl& self) { return self.named_modules(std::string(), false).keys(); },
-           "Qualified names of all parts, parents before children.")
+      .def(
+          "module_names", [](const FlowNetImpl& self) { return self.named_modules(std::string(), false).keys(); },
+          "Qualified names of all parts, parents before children.")
       .def(
           "named_parameters",
           [](const FlowNetImpl& self) {
@@ -78,8 +78,8 @@ void bind_flow_net(py::module_& m) {
           },
           "path"_a, "on"_a, "Training or evaluation mode of the part `path` alone, without its children.")
       .def(
-          "is_training", [](FlowNetImpl& self, const std::string& path) { return find_module(self, path).is_training(); },
-          "path"_a);
+          "is_training",
+          [](FlowNetImpl& self, const std::string& path) { return find_module(self, path).is_training(); }, "path"_a);
 }
 
 }  // namespace
