@@ -111,7 +111,7 @@ AtomicFile::AtomicFile(fs::path path) : path_(std::move(path)) {
     if (error == EEXIST) {
       continue;  // a leftover of a killed process with our id
     }
-    if (error == ENOENT) {
+    if (error == ENOENT && !fs::is_directory(folder, ignored)) {  // /proc says ENOENT, too
       throw_not_found(folder.string(), "create the output folder first");
     }
     if (error == ENOTDIR) {

@@ -100,8 +100,8 @@ class FolderSource final : public VideoSource::Impl {
 /// A video file or a camera through OpenCV.
 class CaptureSource final : public VideoSource::Impl {
  public:
-  CaptureSource(cv::VideoCapture capture, std::optional<double> fps, bool camera)
-      : capture_(std::move(capture)), camera_(camera), opened_(std::chrono::steady_clock::now()) {
+  CaptureSource(const cv::VideoCapture& capture, std::optional<double> fps, bool camera)
+      : capture_(capture), camera_(camera), opened_(std::chrono::steady_clock::now()) {
     const double claimed = capture_.get(cv::CAP_PROP_FPS);
     fps_ = fps.value_or(std::isfinite(claimed) && claimed > 0 && claimed <= 1e6 ? claimed : 0.0);
     forced_rate_ = fps.has_value();

@@ -19,7 +19,7 @@ _EXPECTED = (ValueError, OSError, RuntimeError)
 _BUGS = (NotImplementedError, RecursionError, UnicodeError)
 
 # Typer carries its own copy of click in newer versions and depends on click in older ones: take its class from there.
-_CLICK_ERROR = typer.BadParameter.__mro__[2]
+_CLICK_ERROR: type[Exception] = typer.BadParameter.__mro__[2]
 
 _traceback_wanted = False
 
