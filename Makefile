@@ -4,6 +4,7 @@
 #   make test        build everything, run the C++ and the Python tests
 #   make setup       only install: system packages, .venv, the built package in it
 #   make lint        clang-format, clang-tidy, ruff, mypy
+#   make format      let clang-format and ruff rewrite the sources
 #   make bench       C++ micro-benchmarks
 #   make sanitize    C++ tests under address and undefined-behaviour sanitizers (its own Debug build)
 #   make clean       remove what was built (not .venv; `rm -rf .venv` for that)
@@ -36,7 +37,7 @@ SOURCES := CMakeLists.txt pyproject.toml tools/torch_requirement.py \
 CONFIGURE = cmake -S . -B $(BUILD) -G Ninja -DCMAKE_BUILD_TYPE=Release -DPython_EXECUTABLE=$(abspath $(PY)) \
             -DAJNA_BUILD_PYTHON=ON
 
-.PHONY: help setup demo test lint bench sanitize clean always apt apt-test
+.PHONY: help setup demo test lint format bench sanitize clean always apt apt-test
 .DELETE_ON_ERROR:
 help:
 	@sed -n '/^#   make/s/^#   //p' Makefile
@@ -54,6 +55,12 @@ test: apt-test $(STAMP)/package-test
 lint: apt-test $(STAMP)/package-lint
 	@sh tools/apt.sh $(APT_LINT)
 	@sh tools/lint.sh $(BUILD) $(VENV)/bin
+
+format: $(STAMP)/package-lint
+	@sh tools/apt.sh $(APT_LINT)
+	find cpp tests -name '*.[ch]pp' -print0 | xargs -0 clang-format -i
+	$(VENV)/bin/ruff check --fix --exit-zero .
+	$(VENV)/bin/ruff format .
 
 bench: $(STAMP)/package
 	@sh tools/apt.sh $(APT_BENCH)
