@@ -7,7 +7,7 @@ python=$2
 
 # The installed package, not the source tree: whatever a developer's shell has set.
 unset PYTHONPATH
-export PYTHONSAFEPATH=1 AJNA_TEST_BUILD_DIR="$PWD/$build"
+export AJNA_TEST_BUILD_DIR="$PWD/$build"
 
 jobs=$(nproc)
 ctest --test-dir "$build" --output-on-failure --no-tests=error -j "$jobs"
