@@ -24,7 +24,7 @@ app = typer.Typer(
     name="ajna",
     add_completion=False,
     pretty_exceptions_enable=False,  # errors.run decides what a person sees
-    rich_markup_mode="rich",
+    rich_markup_mode="markdown",
     help="Optical flow and its per-pixel uncertainty in one pass.",
     epilog="Example: ajna predict frame1.png frame2.png --out result",
 )

@@ -13,6 +13,8 @@ import typer
 
 from ajna.cli.options import JsonOption
 
+_PIPED_WIDTH = 400  # columns, where there is no terminal to wrap for
+
 
 def info(as_json: JsonOption = False) -> None:
     """Versions, build, devices, threads and the shipped models with their cards.
@@ -117,4 +119,7 @@ def _print(record: dict[str, Any]) -> None:
             table.add_row("", f"{key}: {value}")
     if not record["models"]:
         table.add_row("models", "none shipped with this build")
-    Console(soft_wrap=True, highlight=False, markup=False).print(table)
+    screen = Console(highlight=False, markup=False)
+    if not screen.is_terminal:
+        screen.width = _PIPED_WIDTH
+    screen.print(table)

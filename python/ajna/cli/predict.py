@@ -15,8 +15,10 @@ FILES = ("flow.flo", "uncertainty.pfm", "flow.png", "uncertainty.png", "overview
 
 
 def predict(
-    img1: Annotated[Path, typer.Argument(help="First frame: PNG, JPEG, BMP, PPM or PGM.", show_default=False)],
-    img2: Annotated[Path, typer.Argument(help="Second frame, of the same size.", show_default=False)],
+    img1: Annotated[
+        Path, typer.Argument(metavar="IMG1", help="First frame: PNG, JPEG, BMP, PPM or PGM.", show_default=False)
+    ],
+    img2: Annotated[Path, typer.Argument(metavar="IMG2", help="Second frame, of the same size.")],
     out: Annotated[Path, typer.Option(help="Folder for the results; made if missing.", show_default=False)],
     model: ModelOption = "best",
     size: SizeOption = None,
@@ -71,6 +73,6 @@ def predict(
     else:
         typer.echo(
             f"{summary['width']}x{summary['height']}: flow {summary['mean_flow_px']:.2f} px on average, "
-            f"{summary['max_flow_px']:.1f} px at most, expected error {summary['mean_expected_error_px']:.2f} px; "
+            f"{summary['max_flow_px']:.2f} px at most, expected error {summary['mean_expected_error_px']:.2f} px; "
             f"wrote {', '.join(FILES)} in {out}"
         )

@@ -35,7 +35,10 @@ class _Scale(NamedTuple):
 
 def video(
     source: Annotated[
-        str, typer.Argument(help="Folder of images, video file, or camera index such as 0.", show_default=False)
+        str,
+        typer.Argument(
+            metavar="SOURCE", help="Folder of images, video file, or camera index such as 0.", show_default=False
+        ),
     ],
     out: Annotated[Path, typer.Option(help="The video to write: .mp4 or .avi.", show_default=False)],
     model: ModelOption = "best",
