@@ -253,10 +253,7 @@ def save_checkpoint(
     Raises:
         ValueError: for an unusable loss or path; RuntimeError where the file cannot be written.
     """
-    metadata = _core.CheckpointMetadata()
-    metadata.name, metadata.net, metadata.flow_scale = name, net.config, flow_scale
-    metadata.loss, metadata.table = loss.describe(), uncertainty_table(loss)
-    metadata.provenance = {key: str(value) for key, value in (provenance or {}).items()}
+    metadata = _metadata(net, name, loss.describe(), uncertainty_table(loss), flow_scale, provenance or {})
     _core.save_checkpoint(os.fspath(path), net._core, metadata)
 
 
@@ -278,3 +275,35 @@ def load_checkpoint(path: str | os.PathLike[str]) -> tuple[FlowNet, dict[str, An
         "provenance": dict(metadata.provenance),
         "table": metadata.table,
     }
+
+
+def export_torchscript(path: str | os.PathLike[str], net: FlowNet, metadata: Mapping[str, Any]) -> None:
+    """Write ``net`` as a frozen TorchScript file that runs without Ajna, verified against ``net`` and atomically.
+
+    Its methods: ``forward(x)`` as :class:`FlowNet` in eval mode, and ``predict(frame1, frame2)`` on uint8 [N, 3, H, W]
+    RGB -> (flow, uncertainty, expected_error), each [N, 2, H, W] float32, flow and expected error in pixels.
+
+    Args:
+        path: the file to write.
+        net: a network of 6 to 4 channels; it is not changed.
+        metadata: as :func:`load_checkpoint` returns it.
+
+    Raises:
+        ValueError: for another network, or metadata that do not fit it; RuntimeError where writing fails.
+    """
+    fields = ("name", "loss", "table", "flow_scale", "provenance")
+    missing = [field for field in fields if field not in metadata]
+    if missing:
+        raise ValueError(f"model metadata lack '{missing[0]}': give what load_checkpoint returned beside the network")
+    filled = _metadata(net, *(metadata[field] for field in fields))
+    _core.export_torchscript(os.fspath(path), net._core, filled)
+
+
+def _metadata(
+    net: FlowNet, name: str, loss: str, table: Any, flow_scale: float, provenance: Mapping[str, Any]
+) -> Any:
+    metadata = _core.CheckpointMetadata()
+    metadata.name, metadata.net, metadata.flow_scale = name, net.config, flow_scale
+    metadata.loss, metadata.table = loss, table
+    metadata.provenance = {key: str(value) for key, value in provenance.items()}
+    return metadata

@@ -210,6 +210,24 @@ INSTANTIATE_TEST_SUITE_P(Values, MaskedGarbage,
                            return std::string(std::isnan(item.param) ? "NaN" : item.param > 0 ? "Inf" : "MinusInf");
                          });
 
+TEST(UncertaintyLoss, MaskedPlacesAreLeftOutForEveryChoiceOfTerms) {
+  const auto p0 = map_of({1.5, NAN, 3.0}), r0 = map_of({0.6, NAN, 2.4}), t = map_of({0.1, NAN, -0.5});
+  const auto mask = torch::tensor({1, 0, 1}, torch::kBool).view({1, 1, 1, 3});
+  for (const auto& config : all_combinations()) {
+    const UncertaintyLoss loss(config);
+    const auto p = p0.clone().requires_grad_(true), r = r0.clone().requires_grad_(true);
+    const auto value = loss(p, r, t, mask);
+    EXPECT_NEAR(value.item<double>(), loss(map_of({1.5, 3.0}), map_of({0.6, 2.4}), map_of({0.1, -0.5})).item<double>(),
+                1e-12)
+        << loss.describe();
+    value.backward();
+    for (const auto& grad : {p.grad(), r.grad()}) {
+      EXPECT_TRUE(grad.isfinite().all().item<bool>()) << loss.describe();
+      EXPECT_EQ(grad.view(-1)[1].item<double>(), 0.0) << loss.describe();
+    }
+  }
+}
+
 TEST(UncertaintyLoss, NoValidPixelGivesZeroAndZeroGradient) {
   const UncertaintyLoss loss;
   const auto p = torch::randn({1, 2, 2, 2}).requires_grad_(true), r = torch::randn({1, 2, 2, 2}).requires_grad_(true);

@@ -103,7 +103,8 @@ Tensor UncertaintyLoss::operator()(const Tensor& prediction, const Tensor& raw, 
     const auto zero = torch::zeros({}, p.options());
     p = torch::where(valid, p, zero);
     t = torch::where(valid, t, zero);
-    r = torch::where(valid, r.expand_as(p), zero);
+    // 1, not 0: 1/a and log(a) must be finite there, or 0 * Inf would come back as NaN.
+    r = torch::where(valid, r.expand_as(p), torch::ones({}, r.options()));
   }
   auto loss = evaluate(h_, h_slope_, r) * f_.value(p, t) + config_.lam * evaluate(g_, g_slope_, r);
   auto weights = valid.defined() ? valid.to(loss.scalar_type()) : torch::ones({}, loss.options());
