@@ -15,9 +15,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ajna import _core
-
-ModelInfo = _core.ModelInfo
+from ajna._core import EngineOptions, FlowEngine, ModelInfo, nearest_name
 
 #: A frame: RGB uint8 [H, W, 3], or the path of an image file.
 FrameLike: TypeAlias = "NDArray[np.uint8] | str | os.PathLike[str]"
@@ -109,13 +107,13 @@ class Model:
         threads: int | None = None,
         bfloat16: bool = False,
     ) -> None:
-        options = _core.EngineOptions()
+        options = EngineOptions()
         options.device, options.bfloat16 = device, bfloat16
         if threads is not None:
             if threads < 1:
                 raise ValueError(f"threads = {threads}: give at least 1, or None to leave torch's setting")
             options.threads = threads
-        self._engine = _core.FlowEngine(os.fspath(path), options)
+        self._engine = FlowEngine(os.fspath(path), options)
 
     @property
     def info(self) -> ModelInfo:
@@ -211,7 +209,7 @@ def _resolve(name_or_path: str | os.PathLike[str]) -> Path:
         return path
     if name_or_path.endswith(_MODEL_SUFFIXES) or os.sep in name_or_path or os.path.exists(name_or_path):
         return Path(name_or_path)
-    near = _core.nearest_name(name_or_path, list(shipped))
+    near = nearest_name(name_or_path, list(shipped))
     hint = f", did you mean '{near}'?" if near else "."
     known = ", ".join(shipped) or "none, as this build ships no models"
     raise ValueError(f"unknown model '{name_or_path}'{hint} Known: {known}; or give the path of a model file")

@@ -125,6 +125,14 @@ TEST_F(CheckpointTest, UnusableOutputPlaces) {
   path_ = folder_.file("folder.safetensors");
   std::filesystem::create_directory(path_);
   expect_error(ErrorKind::kInvalidArgument, "is a folder", [&] { save(); });
+  path_ = folder_.file("plain");
+  write_bytes(path_, "a file");
+  path_ += "/model.safetensors";
+  expect_error(ErrorKind::kInvalidArgument, "not a folder", [&] { save(); });
+  if (std::filesystem::is_directory("/proc")) {
+    path_ = "/proc/model.safetensors";  // refuses even the superuser
+    expect_error(ErrorKind::kRuntime, "not writable", [&] { save(); });
+  }
 }
 
 TEST_F(CheckpointTest, RefusesContentThatDoesNotFit) {

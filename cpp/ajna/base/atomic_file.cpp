@@ -1,9 +1,12 @@
 // SPDX-License-Identifier: MIT
 #include "ajna/base/atomic_file.hpp"
 
+#include <fcntl.h>
 #include <unistd.h>
 
 #include <atomic>
+#include <cerrno>
+#include <cstring>
 #include <filesystem>
 #include <system_error>
 
@@ -27,18 +30,23 @@ void write_atomically(const std::string& path, const std::function<void(const st
     throw_invalid("output file '" + path + "' lies below '" + folder.string() +
                   "', which is not a folder: give a folder");
   }
-  if (::access(folder.c_str(), W_OK | X_OK) != 0) {
-    throw_runtime("folder '" + folder.string() + "' cannot be written: choose another one or change its permissions");
-  }
   // The process id and a counter keep parallel writers apart; the extension stays, because encoders choose by it.
   const fs::path temporary = folder / ("." + target.stem().string() + ".tmp" + std::to_string(::getpid()) + "-" +
                                        std::to_string(counter++) + target.extension().string());
+  // Creating it first tells an unwritable folder from all that may go wrong later; only the attempt itself is reliable
+  // (access() lies about read-only and virtual file systems).
+  const int descriptor = ::open(temporary.c_str(), O_CREAT | O_EXCL | O_WRONLY | O_CLOEXEC, 0666);
+  if (descriptor < 0) {
+    throw_runtime("folder '" + folder.string() + "' is not writable (" + std::strerror(errno) +
+                  "): choose another one or change its permissions");
+  }
+  ::close(descriptor);
   try {
     write(temporary.string());
     std::error_code failure;
     fs::rename(temporary, target, failure);
     if (failure) {
-      throw_runtime("file '" + path + "' cannot be replaced: " + failure.message());
+      throw_runtime("file '" + path + "' cannot be replaced (" + failure.message() + "): choose another name");
     }
   } catch (...) {
     fs::remove(temporary, ignored);
