@@ -145,13 +145,24 @@ class FlowNet(_Part):
 
     def forward(self, x: Tensor) -> Tensor:
         """[N, in_channels, H, W] floating point -> [N, out_channels, H, W]; see the class."""
+        self._check_bound()
+        return self._core.forward(x)
+
+    def forward_layers(self, x: Tensor) -> list[Tensor]:
+        """What each layer gives for ``x``, first to last (the output); for auxiliary losses and for looking inside.
+
+        Both sides of ``x`` must be multiples of ``config.stride``.
+        """
+        self._check_bound()
+        return self._core.forward_layers(x)
+
+    def _check_bound(self) -> None:
         for table, name, tensor in self._bound:
             if table.get(name) is not tensor:
                 raise RuntimeError(
                     f"parameter '{name}' of the network was replaced by another tensor: copy values in place "
                     "(param.data.copy_) or use load_state_dict"
                 )
-        return self._core.forward(x)
 
     def extra_repr(self) -> str:
         return ", ".join(f"{field}={getattr(self.config, field)}" for field in _CONFIG_FIELDS)
@@ -299,9 +310,7 @@ def export_torchscript(path: str | os.PathLike[str], net: FlowNet, metadata: Map
     _core.export_torchscript(os.fspath(path), net._core, filled)
 
 
-def _metadata(
-    net: FlowNet, name: str, loss: str, table: Any, flow_scale: float, provenance: Mapping[str, Any]
-) -> Any:
+def _metadata(net: FlowNet, name: str, loss: str, table: Any, flow_scale: float, provenance: Mapping[str, Any]) -> Any:
     metadata = _core.CheckpointMetadata()
     metadata.name, metadata.net, metadata.flow_scale = name, net.config, flow_scale
     metadata.loss, metadata.table = loss, table

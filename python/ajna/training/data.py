@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import lightning.pytorch as pl
@@ -58,28 +59,36 @@ class SyntheticData(pl.LightningDataModule):
         self.scene, self.validation = dict(scene or {}), validation or ValidationOptions()
         self.seed, self.prefetch, self.photos, self.photo_count = seed, prefetch, photos, photo_count
         # Checked here so that a misspelt option stops the run before it begins.
-        self._scenes = synth.scene_config(self.scene)
+        for stage in self.stages:
+            self._scenes_of(stage)
         self._validation_scenes = synth.scene_config({**self.scene, **self.validation.scene})
-        self._generator: Any = None
+        self._generator: tuple[dict[str, Any], synth.PairGenerator] | None = None
 
-    def generator(self, device: torch.device | str = "cpu") -> Any:
-        """The training scenes' generator, made once (it holds the textures)."""
-        if self._generator is None:
-            self._generator = make_generator(self._scenes, device, self.photos, self.photo_count, bank_seed=self.seed)
-        return self._generator
+    def _scenes_of(self, stage: Stage) -> synth.SceneConfig:
+        return synth.scene_config({**self.scene, **stage.scene})
+
+    def generator(self, stage: Stage, device: torch.device | str = "cpu") -> synth.PairGenerator:
+        """The generator of a stage's scenes. The latest is kept: it holds the textures, hundreds of megabytes."""
+        if self._generator is None or self._generator[0] != stage.scene:
+            self._generator = None  # freed before the next is made
+            made = make_generator(self._scenes_of(stage), device, self.photos, self.photo_count, bank_seed=self.seed)
+            self._generator = (stage.scene, made)
+        return self._generator[1]
 
     def stream(
         self, start: int = 0, rank: int = 0, device: torch.device | str = "cpu", prefetch: int | None = None
     ) -> SceneStream:
         """Training batches from step ``start`` on."""
         ahead = self.prefetch if prefetch is None else prefetch
-        return SceneStream(self.generator(device), self.stages, self.seed, rank, start, ahead)
+        return SceneStream(partial(self.generator, device=device), self.stages, self.seed, rank, start, ahead)
 
     def validation_batches(self) -> list[Batch]:
         """The validation scenes: uint8 frames, flow in pixels and occlusion, on the CPU."""
         options = self.validation
         # Another texture bank than any training run's, so that no texture was seen.
-        generator = make_generator(self._validation_scenes, "cpu", self.photos, self.photo_count, bank_seed=validation_seed(0))
+        generator = make_generator(
+            self._validation_scenes, "cpu", self.photos, self.photo_count, bank_seed=validation_seed(0)
+        )
         batches = []
         for number in range(options.batches):
             pairs = generator(options.batch, options.height, options.width, validation_seed(number + 1))
@@ -89,7 +98,8 @@ class SyntheticData(pl.LightningDataModule):
     def describe(self) -> str:
         """One line for a model card: where the samples came from."""
         options = " ".join(f"{name}={value}" for name, value in self.scene.items())
-        return f"synthetic scenes, seed {self.seed}, photographs: {'yes' if self.photos else 'no'}; {options}".rstrip("; ")
+        photos = "with" if self.photos else "without"
+        return f"synthetic scenes {photos} photographs, seed {self.seed}" + (f", {options}" if options else "")
 
     # Lightning hooks. The loaders are plain iterables: scenes need no worker processes.
 
@@ -97,7 +107,8 @@ class SyntheticData(pl.LightningDataModule):
         trainer = self.trainer
         assert trainer is not None
         device = trainer.strategy.root_device
-        return self.stream(trainer.lightning_module.steps_done, trainer.global_rank, device)
+        module: Any = trainer.lightning_module
+        return self.stream(module.steps_done, trainer.global_rank, device)
 
     def val_dataloader(self) -> Batches:
         return Batches(self.validation_batches())

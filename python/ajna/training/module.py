@@ -53,8 +53,9 @@ class FlowModule(pl.LightningModule):
         self.net = (net or NetOptions()).build()
         if init_from is not None:
             self._start_from(init_from)
-        self.net.to(memory_format=self.memory_format)
-        self.ema = (net or NetOptions()).build().to(memory_format=self.memory_format)
+        self.net.to(memory_format=self.memory_format)  # type: ignore[call-overload]
+        self.ema = (net or NetOptions()).build()
+        self.ema.to(memory_format=self.memory_format)  # type: ignore[call-overload]
         self.ema.load_state_dict(self.net.state_dict())
         self.ema.requires_grad_(False).eval()
         self.loss = self.options.build()
@@ -103,8 +104,7 @@ class FlowModule(pl.LightningModule):
         if self.options.occluded_weight != 1.0:
             weight = torch.where(batch["occlusion"], self.options.occluded_weight, 1.0)
         share = self.options.flow_share(step)
-        # The value of `led` is the flow, its gradient that of the flow times `share`; raw is not affected.
-        led = flow if share == 1.0 else flow.detach() + share * (flow - flow.detach()) if share else flow.detach()
+        led, raw = _scale_gradient(flow, share), _scale_gradient(raw, self.options.raw_share(step))
         loss = self.loss(led, raw, target, None, weight)
         if share < 1.0:
             error = (flow - target).abs()
@@ -128,11 +128,13 @@ class FlowModule(pl.LightningModule):
             self._average()
         self.steps_done += 1
         self.samples_done += batch["flow"].shape[0] * self.trainer.world_size
-        if step % max(self.trainer.log_every_n_steps, 1) == 0:
+        if step % max(self.trainer.log_every_n_steps, 1) == 0:  # type: ignore[attr-defined]
             with torch.no_grad():
                 error = end_point_error(output[:, :2] * self.flow_scale, batch["flow"]).mean()
-            scores = {"loss": loss.detach(), "epe": error, "lr": rate, "gradient_norm": norm, "skipped": self.skipped}
-            self.log_dict({f"train/{name}": float(value) for name, value in scores.items()})
+            scores = {"loss": loss.item(), "epe": error.item(), "lr": rate, "gradient_norm": norm.item()}
+            scores["zero_epe"] = torch.linalg.vector_norm(batch["flow"], dim=1).mean().item()
+            scores["skipped"] = float(self.skipped)
+            self.log_dict({f"train/{name}": value for name, value in scores.items()})
 
     def _usable(self, loss: Tensor, norm: Tensor) -> bool:
         """Whether this step's update may be applied; the same answer on all ranks, as gradients are shared."""
@@ -151,7 +153,7 @@ class FlowModule(pl.LightningModule):
     @torch.no_grad()
     def _average(self) -> None:
         # Early on the average follows quickly, or the random start would linger in it.
-        decay = min(self.optim.ema_decay, (1 + self.steps_done) / (10 + self.steps_done)) if self.optim.ema_decay else 0.0
+        decay = min(self.optim.ema_decay, (1 + self.steps_done) / (10 + self.steps_done))
         theirs = [t for t in (*self.net.parameters(), *self.net.buffers()) if t.is_floating_point()]
         mine = [t for t in (*self.ema.parameters(), *self.ema.buffers()) if t.is_floating_point()]
         torch._foreach_lerp_(mine, theirs, 1.0 - decay)
@@ -217,3 +219,10 @@ class FlowModule(pl.LightningModule):
             "skipped_steps": str(self.skipped),
             "torch": torch.__version__,
         }
+
+
+def _scale_gradient(x: Tensor, factor: float) -> Tensor:
+    """``x`` in value, with ``factor`` times its gradient."""
+    if factor == 1.0:
+        return x
+    return x.detach() + factor * (x - x.detach()) if factor else x.detach()

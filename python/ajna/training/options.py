@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, field
 from typing import Any
@@ -36,6 +37,8 @@ class LossOptions:
     The raw uncertainty learns from the first step on, by the uncertainty loss. The flow begins with plain L1 (with the
     uncertainty loss's weights still meaningless, hard pixels would be written off), and is handed over to the
     uncertainty loss between ``l1_steps`` and ``l1_steps + blend_steps``; ``l1_share`` of L1 remains for good.
+    ``raw_gradient`` scales the raw uncertainty's gradient until the hand-over: below 1, the shared layers first learn
+    to match. ``occluded_weight`` weighs pixels that are hidden in frame 2.
     """
 
     f: Term = _LOSS.f.name
@@ -46,22 +49,33 @@ class LossOptions:
     l1_steps: int = 1000
     blend_steps: int = 2000
     l1_share: float = 0.0
+    raw_gradient: float = 1.0
     occluded_weight: float = 1.0
 
     def __post_init__(self) -> None:
         _require(self.l1_steps >= 0, "loss.l1_steps", self.l1_steps, "give 0 or more")
         _require(self.blend_steps >= 0, "loss.blend_steps", self.blend_steps, "give 0 or more")
         _require(0 <= self.l1_share <= 1, "loss.l1_share", self.l1_share, "give 0 to 1")
+        _require(self.raw_gradient > 0, "loss.raw_gradient", self.raw_gradient, "give a number above 0")
         _require(self.occluded_weight >= 0, "loss.occluded_weight", self.occluded_weight, "give 0 or more")
 
     def build(self) -> UncertaintyLoss:
         return UncertaintyLoss(self.f, self.h, self.g, self.lam, self.parametrization)
 
+    def handover(self, step: int) -> float:
+        """0 before ``l1_steps``, 1 from ``l1_steps + blend_steps`` on, smooth between."""
+        if step < self.l1_steps:
+            return 0.0
+        t = min((step - self.l1_steps) / self.blend_steps, 1.0) if self.blend_steps else 1.0
+        return t * t * (3.0 - 2.0 * t)
+
     def flow_share(self, step: int) -> float:
         """Share of the uncertainty loss in the flow's gradient at ``step``, 0 to 1 - l1_share; the rest is L1."""
-        t = (step - self.l1_steps) / max(self.blend_steps, 1)
-        t = min(max(t, 0.0), 1.0) if self.blend_steps else float(step >= self.l1_steps)
-        return t * t * (3.0 - 2.0 * t) * (1.0 - self.l1_share)
+        return self.handover(step) * (1.0 - self.l1_share)
+
+    def raw_share(self, step: int) -> float:
+        """Factor of the raw uncertainty's gradient at ``step``: ``raw_gradient``, then 1."""
+        return self.raw_gradient + self.handover(step) * (1.0 - self.raw_gradient)
 
 
 @dataclass
@@ -99,8 +113,9 @@ class OptimOptions:
 class Stage:
     """One step of the curriculum, from ``from_step`` until the next stage begins.
 
-    ``motion`` multiplies the scene's flow_mean_px and flow_max_px. With ``reuse`` K > 1, ``pool`` generated batches are
-    used K times each, shuffled among each other, flipped and with permuted colour channels (all exact for the flow).
+    ``motion`` multiplies the scene's flow_mean_px and flow_max_px; ``scene`` options replace those of the run. With
+    ``reuse`` K > 1, ``pool`` generated batches are used K times each, shuffled among each other, flipped, transposed
+    (square crops) and with permuted colour channels, all exact for the flow.
     """
 
     from_step: int
@@ -110,6 +125,7 @@ class Stage:
     motion: float = 1.0
     reuse: int = 1
     pool: int = 8
+    scene: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         _require(self.from_step >= 0, "stage.from_step", self.from_step, "give 0 or more")
@@ -137,7 +153,7 @@ def check_stages(stages: list[Stage]) -> list[Stage]:
     """The stages in order; raises ValueError unless the first begins at 0 and each begins after the one before."""
     _require(bool(stages), "data.stages", "[]", "give at least one stage")
     _require(stages[0].from_step == 0, "from_step of the first stage", stages[0].from_step, "give 0")
-    for before, after in zip(stages, stages[1:], strict=False):
+    for before, after in itertools.pairwise(stages):
         _require(before.from_step < after.from_step, "stage.from_step", after.from_step, "give rising steps")
     return stages
 

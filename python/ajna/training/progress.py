@@ -19,7 +19,7 @@ from ajna.training.run_folder import atomic_path
 
 
 class Throughput(pl.Callback):
-    """Logs train/samples_per_s (validation not counted), and without a terminal prints one line every ``every`` steps."""
+    """Logs train/samples_per_s, validation not counted; without a terminal it prints a line every ``every`` steps."""
 
     def __init__(self, every: int) -> None:
         self.every = max(every, 1)
@@ -45,8 +45,9 @@ class Throughput(pl.Callback):
             scores = trainer.callback_metrics
             shown = [f"{k} {float(scores[k]):.4g}" for k in ("train/loss", "train/epe", "val/epe") if k in scores]
             print(
-                f"step {steps}/{trainer.max_steps}  {'  '.join(shown)}  {rate:.1f} samples/s  "
-                f"{_duration(left)} left", file=sys.stderr, flush=True,
+                f"step {steps}/{trainer.max_steps}  {'  '.join(shown)}  {rate:.1f} samples/s  {_duration(left)} left",
+                file=sys.stderr,
+                flush=True,
             )
 
 

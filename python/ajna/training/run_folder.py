@@ -39,7 +39,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 class AtomicCheckpointIO(TorchCheckpointIO):
-    """Lightning's checkpoint files, written beside the old one and renamed: a kill at any moment leaves a whole file."""
+    """Lightning's checkpoint files, written beside the old one and renamed: a kill always leaves a whole file."""
 
     def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any | None = None) -> None:
         with atomic_path(path) as temporary:
@@ -47,7 +47,7 @@ class AtomicCheckpointIO(TorchCheckpointIO):
 
 
 class RunFolder(pl.Callback):
-    """Keeps ``last.ckpt``, ``best.ckpt`` (lowest val/epe), ``model.safetensors`` and ``best.safetensors`` in ``folder``.
+    """Keeps last.ckpt, best.ckpt (lowest val/epe), model.safetensors and best.safetensors in ``folder``.
 
     Args:
         folder: the run's folder.
@@ -94,7 +94,9 @@ class RunFolder(pl.Callback):
     def _save_model(self, trainer: pl.Trainer, module: FlowModule, stem: str) -> None:
         if not trainer.is_global_zero:
             return
-        scores = {k.replace("/", "_"): f"{float(v):.5g}" for k, v in trainer.callback_metrics.items() if k[:4] == "val/"}
+        scores = {
+            k.replace("/", "_"): f"{float(v):.5g}" for k, v in trainer.callback_metrics.items() if k[:4] == "val/"
+        }
         data = getattr(trainer, "datamodule", None)
         provenance = {**module.provenance(), **scores, "data": data.describe() if data is not None else "unknown"}
         net = module.ema
@@ -102,9 +104,7 @@ class RunFolder(pl.Callback):
             # The file holds plain contiguous tensors; the network in training keeps its format.
             net = _contiguous_copy(net)
         self.folder.mkdir(parents=True, exist_ok=True)
-        save_checkpoint(
-            self.folder / f"{stem}.safetensors", net, self.name, module.loss, module.flow_scale, provenance
-        )
+        save_checkpoint(self.folder / f"{stem}.safetensors", net, self.name, module.loss, module.flow_scale, provenance)
 
 
 def _contiguous_copy(net: Any) -> Any:

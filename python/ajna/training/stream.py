@@ -8,7 +8,7 @@ import atexit
 import queue
 import threading
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Callable, Generator, Iterator
 from typing import Any, NamedTuple
 
 import torch
@@ -41,14 +41,15 @@ def place_of(stages: list[Stage], step: int) -> Place:
 
 
 def augment(batch: Batch, seed: int) -> Batch:
-    """Per-sample flips and one colour permutation per batch, all exact for the flow; the input is left alone.
+    """Per-sample flips, one transposition (of square crops) and one colour permutation per batch; the input stays.
 
-    Flipping left-right negates u, flipping top-bottom negates v.
+    All are exact for the flow: flipping left-right negates u, top-bottom v; transposing exchanges u and v.
     """
     random = torch.Generator().manual_seed(seed & (2**62 - 1))
     count = batch["flow"].shape[0]
     flip_x, flip_y = (torch.rand(2, count, generator=random) < 0.5).to(batch["flow"].device)[..., None, None, None]
     colors = torch.randperm(3, generator=random)
+    transpose = bool(torch.rand((), generator=random) < 0.5)
 
     def flipped(x: Tensor) -> Tensor:
         x = torch.where(flip_x, x.flip(3), x)
@@ -59,7 +60,13 @@ def augment(batch: Batch, seed: int) -> Batch:
     result["flow"] = result["flow"] * signs[:, :, None, None]
     for name in ("frame1", "frame2"):
         result[name] = result[name][:, colors]
+    if transpose and result["flow"].shape[2] == result["flow"].shape[3]:
+        result = {name: x.transpose(2, 3) if isinstance(x, Tensor) else x for name, x in result.items()}
+        result["flow"] = result["flow"].flip(1)
     return result
+
+
+SceneSource = Callable[[int, int, int, int, float], Any]  # (batch, height, width, seed, flow_scale) -> PairBatch
 
 
 class SceneStream:
@@ -69,7 +76,7 @@ class SceneStream:
     [B, 1, H, W] and ``step`` (int).
 
     Args:
-        generator: an ``ajna.synth.PairGenerator``, or alike: called with (batch, height, width, seed, flow_scale).
+        generator_of: stage -> an ``ajna.synth.PairGenerator``, or alike.
         stages: the curriculum.
         seed: the run's seed.
         rank: of this process among those that train together; each sees its own samples.
@@ -79,14 +86,20 @@ class SceneStream:
     """
 
     def __init__(
-        self, generator: Any, stages: list[Stage], seed: int, rank: int = 0, start: int = 0, prefetch: int = 0
+        self,
+        generator_of: Callable[[Stage], SceneSource],
+        stages: list[Stage],
+        seed: int,
+        rank: int = 0,
+        start: int = 0,
+        prefetch: int = 0,
     ) -> None:
-        self.generator = generator
+        self.generator_of = generator_of
         self.stages = check_stages(stages)
         self.seed, self.rank, self.start, self.prefetch = seed, rank, start, prefetch
 
-    def __iter__(self) -> Iterator[Batch]:
-        made = map(self._generate, self._numbers(self.start))
+    def __iter__(self) -> Generator[Batch, None, None]:
+        made: Iterator[Batch] = map(self._generate, self._numbers(self.start))
         if self.prefetch:
             made = _in_background(made, self.prefetch)
         step = self.start
@@ -127,7 +140,7 @@ class SceneStream:
         index, count = number
         stage = self.stages[index]
         seed = training_seed(self.seed, index, count, self.rank)
-        pairs = self.generator(stage.batch, stage.height, stage.width, seed, stage.motion)
+        pairs = self.generator_of(stage)(stage.batch, stage.height, stage.width, seed, stage.motion)
         names = ("frame1", "frame2", "flow", "occlusion")
         return {name: getattr(pairs, name) for name in names}
 
@@ -139,9 +152,7 @@ class SceneStream:
         random = torch.Generator().manual_seed(seed)
         order = torch.randperm(stage.pool * stage.batch, generator=random)
         chosen = order[place.slot * stage.batch : (place.slot + 1) * stage.batch].tolist()
-        batch = {
-            name: torch.stack([pool[i // stage.batch][name][i % stage.batch] for i in chosen]) for name in pool[0]
-        }
+        batch = {name: torch.stack([pool[i // stage.batch][name][i % stage.batch] for i in chosen]) for name in pool[0]}
         return augment(batch, derive_seed(seed, place.slot))
 
 
@@ -168,7 +179,7 @@ def _in_background(source: Iterator[Batch], depth: int) -> Iterator[Batch]:
             for item in source:
                 if not put(item):
                     return
-        except BaseException as error:  # noqa: BLE001 - handed to the consumer
+        except BaseException as error:
             put(_Failure(error))
 
     thread = threading.Thread(target=work, name="ajna-scenes", daemon=True)

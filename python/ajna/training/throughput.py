@@ -6,6 +6,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
+from functools import partial
 from typing import Any
 
 import torch
@@ -53,13 +54,13 @@ def throughput(
     for stage in data.stages:
         alone = iter(data.stream(stage.from_step, device=device, prefetch=0))
         fixed = next(alone)
-        scenes = rate(lambda stream=alone: next(stream), stage.batch)
-        alone_step = rate(lambda batch=fixed: step(batch), stage.batch)
+        scenes = rate(partial(next, alone), stage.batch)
+        steps = rate(partial(step, fixed), stage.batch)
         stream = iter(data.stream(stage.from_step, device=device))
-        both = rate(lambda source=stream: step(next(source)), stage.batch)
+        both = rate(lambda source=stream: step(next(source)), stage.batch)  # type: ignore[misc]
         stream.close()
         text = f"{stage.height}x{stage.width} batch {stage.batch} from step {stage.from_step} reuse {stage.reuse}"
-        results.append({"stage": text, "scenes": scenes, "step": alone_step, "both": both})
+        results.append({"stage": text, "scenes": scenes, "step": steps, "both": both})
     return results
 
 
