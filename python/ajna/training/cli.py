@@ -14,6 +14,7 @@ import torch
 from lightning.pytorch import Trainer
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
+from lightning.pytorch.utilities.exceptions import MisconfigurationException
 
 from ajna.training.data import SyntheticData
 from ajna.training.module import FlowModule
@@ -44,7 +45,8 @@ class TrainCLI(LightningCLI):
             trainer_defaults=_TRAINER_DEFAULTS,
             save_config_callback=None,
             load_from_checkpoint_support=False,
-            parser_kwargs={"prog": "train.py"},
+            # A misspelt option must not be taken for the one that it abbreviates.
+            parser_kwargs={"allow_abbrev": False, **{name: {"allow_abbrev": False} for name in self.subcommands()}},
         )
 
     @staticmethod
@@ -93,7 +95,7 @@ class TrainCLI(LightningCLI):
         kwargs["callbacks"] = [
             *(trainer.get("callbacks") or []),
             Throughput(trainer.get("log_every_n_steps") or 50),
-            StepProgressBar(),
+            *([] if trainer.get("enable_progress_bar") is False else [StepProgressBar()]),
             # Pictures first: RunFolder's files are then the last word on a validation.
             Pictures(self.folder / "pictures", self._get(self.config, "pictures")),
             RunFolder(self.folder, self._get(self.config, "name"), self._get(self.config, "save_every")),
@@ -108,7 +110,7 @@ class TrainCLI(LightningCLI):
     def _save_config(self) -> None:
         """The effective config, as runs/<name>/config.yaml; an earlier, different one is kept under a number."""
         config = self.config[self.subcommand]
-        text = self._parser(self.subcommand).dump(config, skip_none=False)
+        text = self._parser(self.subcommand).dump(config)
         target = self.folder / "config.yaml"
         if target.is_file():
             before = target.read_text(encoding="utf-8")
@@ -145,7 +147,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             _throughput(args[1:])
         else:
             TrainCLI(args)
-    except (ValueError, FileNotFoundError, PermissionError) as error:
+    except (ValueError, FileNotFoundError, PermissionError, MisconfigurationException) as error:
         print(f"train.py: {error}", file=sys.stderr)
         return 2
     return 0
