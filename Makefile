@@ -101,7 +101,7 @@ $(STAMP)/package: $(STAMP)/torch $(SOURCES) | apt
 	$(CONFIGURE) > $(BUILD)/configure.log || (cat $(BUILD)/configure.log; false)
 	cmake --build $(BUILD) --target ajna_core
 	rm -rf build/dist
-	$(PY) -m pip wheel -q --no-deps --no-build-isolation -C build-dir=$(BUILD) -w build/dist .
+	$(PY) -m pip wheel -q --no-deps --no-build-isolation --config-settings=build-dir=$(BUILD) -w build/dist .
 	$(PY) -m pip install -q build/dist/ajna-*.whl
 	$(PY) -m pip install -q --no-deps --force-reinstall build/dist/ajna-*.whl
 	@touch $@
