@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 import torch
 
+import ajna
+
 io = pytest.importorskip("ajna.io", reason="needs the build with vision (AJNA_WITH_VISION=ON)", exc_type=ImportError)
 
-import ajna  # noqa: E402
 from ajna.cli import main  # noqa: E402
 
 Pair = tuple[np.ndarray, np.ndarray]

@@ -3,8 +3,8 @@
 
 namespace ajna::io {
 
-/// Silences OpenCV's own log for a scope: what fails is reported once, by an ajna::Error, not by a dozen warnings of the
-/// backends that were tried. The level is one per process, so other threads' warnings are lost meanwhile.
+/// Silences OpenCV's own log for a scope: what fails is reported once, by an ajna::Error, not by a dozen warnings of
+/// the backends that were tried. The level is one per process, so other threads' warnings are lost meanwhile.
 class QuietOpenCv {
  public:
   QuietOpenCv();

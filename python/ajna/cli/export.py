@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from enum import Enum
 from pathlib import Path
 from typing import Annotated
@@ -53,25 +54,28 @@ def export(
     with made_folder(out.parent):
         nn.export_torchscript(out, net, metadata)
 
-    script = torch.jit.load(str(out))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # torch plans to retire TorchScript; the user asked for it
+        script = torch.jit.load(str(out))
     random = torch.Generator().manual_seed(0)
     difference = 0.0
     with torch.no_grad():
         for height, width in _CHECKED_SIZES:
             x = 2 * torch.rand(1, 6, height, width, generator=random) - 1
             difference = max(difference, float((net(x) - script(x)).abs().max()))
+    size_mb = out.stat().st_size / 1e6
+    sizes = [f"{width}x{height}" for height, width in _CHECKED_SIZES]
     summary = {
         "model": info.name,
         "format": file_format.value,
         "file": str(out),
         "bytes": out.stat().st_size,
         "max_abs_difference": difference,
-        "checked_sizes": [f"{width}x{height}" for height, width in _CHECKED_SIZES],
+        "checked_sizes": sizes,
     }
     if as_json:
         typer.echo(json.dumps(summary))
     else:
         typer.echo(
-            f"wrote {out} ({summary['bytes'] / 1e6:.1f} MB); max abs difference to the network {difference:.2g} at "
-            f"{', '.join(summary['checked_sizes'])}"
+            f"wrote {out} ({size_mb:.1f} MB); max abs difference to the network {difference:.2g} at {', '.join(sizes)}"
         )
