@@ -71,7 +71,7 @@ TEST(UncertaintyTable, CheckNamesWhatIsWrong) {
   refused("steps of 0", [](auto& t) { t.raw_step = 0; });
   refused("steps of nan", [](auto& t) { t.raw_step = std::nan(""); });
   refused("raw inf", [](auto& t) { t.raw_min = std::numeric_limits<double>::infinity(); });
-  refused("'uncertainty' is missing", [](auto& t) { t.uncertainty = {}; });
+  refused("'uncertainty' is missing", [](auto& t) { t.uncertainty = torch::Tensor(); });
   refused("float32", [](auto& t) { t.expected_error = t.expected_error.to(torch::kFloat64); });
   refused("1 knots", [](auto& t) { t.uncertainty = torch::zeros({1}); });
   refused("same knots", [](auto& t) { t.uncertainty = torch::zeros({5}); });
