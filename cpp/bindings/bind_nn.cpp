@@ -35,6 +35,8 @@ void bind_flow_net(py::module_& m) {
            "[N, in_channels, H, W] float in [-1, 1] -> [N, out_channels, H, W]; any H and W.")
       .def("forward_aligned", &FlowNetImpl::forward_aligned, "x"_a, py::call_guard<py::gil_scoped_release>(),
            "As forward, without padding: both sides are multiples of config.stride.")
+      .def("forward_layers", &FlowNetImpl::forward_layers, "x"_a, py::call_guard<py::gil_scoped_release>(),
+           "What each layer gives, first to last; both sides are multiples of config.stride.")
       .def(
           "module_names", [](const FlowNetImpl& self) { return self.named_modules(std::string(), false).keys(); },
           "Qualified names of all parts, parents before children.")

@@ -66,8 +66,9 @@ void bind_synth(py::module_& m) {
       .def("generate", &PairGenerator::generate, "batch"_a, "height"_a, "width"_a, "seed"_a, "flow_scale"_a = 1.0,
            py::call_guard<py::gil_scoped_release>())
       .def_property_readonly("config", &PairGenerator::config)
-      .def_property_readonly("textures", [](const PairGenerator& self) { return self.bank().textures(); },
-                             "float32 [N, 3, S, S] in [0, 1]");
+      .def_property_readonly(
+          "textures", [](const PairGenerator& self) { return self.bank().textures(); },
+          "float32 [N, 3, S, S] in [0, 1]");
 }
 
 }  // namespace ajna::bindings

@@ -35,9 +35,11 @@ Tensor warp(const Tensor& image, const Tensor& flow) {
   const auto height = image.size(2), width = image.size(3);
   const auto x = torch::arange(width, flow.options()).view({1, 1, -1}) + flow.select(1, 0);
   const auto y = torch::arange(height, flow.options()).view({1, -1, 1}) + flow.select(1, 1);
-  const auto grid = torch::stack({x * 2 / static_cast<double>(width - 1) - 1, y * 2 / static_cast<double>(height - 1) - 1}, -1);
-  return F::grid_sample(image.to(torch::kFloat32), grid,
-                        F::GridSampleFuncOptions().mode(torch::kBilinear).padding_mode(torch::kBorder).align_corners(true));
+  const auto grid =
+      torch::stack({x * 2 / static_cast<double>(width - 1) - 1, y * 2 / static_cast<double>(height - 1) - 1}, -1);
+  return F::grid_sample(
+      image.to(torch::kFloat32), grid,
+      F::GridSampleFuncOptions().mode(torch::kBilinear).padding_mode(torch::kBorder).align_corners(true));
 }
 
 /// True where every pixel within `radius` is true.

@@ -9,7 +9,8 @@ namespace ajna {
 
 Image::Image(int width, int height) : width_(width), height_(height) {
   if (width <= 0 || height <= 0) {
-    throw_invalid("image size " + std::to_string(width) + "x" + std::to_string(height) + ": both sides must be positive");
+    throw_invalid("image size " + std::to_string(width) + "x" + std::to_string(height) +
+                  ": both sides must be positive");
   }
   pixels_.assign(static_cast<std::size_t>(width) * static_cast<std::size_t>(height) * 3, 0);
 }

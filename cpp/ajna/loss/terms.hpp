@@ -35,7 +35,7 @@ struct ScalarTerm {
 
 /// Build a term by name; parameters not given take their defaults.
 /// Throw Error(kInvalidArgument) for an unknown name or parameter (with the nearest known one) or a non-finite value.
-ErrorTerm make_error_term(const TermSpec& spec);  ///< f: l1, squared_error, charbonnier(eps)
+ErrorTerm make_error_term(const TermSpec& spec);    ///< f: l1, squared_error, charbonnier(eps)
 ScalarTerm make_attenuation(const TermSpec& spec);  ///< h: inv_softplus(eps), inv, inv_square
 ScalarTerm make_penalty(const TermSpec& spec);      ///< g: softplus, log, log_square
 /// raw -> a: none (a = raw), softplus, exp; so that 1/a and log(a) never see a <= 0.

@@ -128,9 +128,7 @@ Tensor UncertaintyLoss::operator()(const Tensor& prediction, const Tensor& raw, 
   return loss.sum() / torch::where(total > 0, total, torch::ones_like(total));
 }
 
-Tensor UncertaintyLoss::uncertainty(const Tensor& raw) const {
-  return g_.value(parametrization_.value(widen(raw)));
-}
+Tensor UncertaintyLoss::uncertainty(const Tensor& raw) const { return g_.value(parametrization_.value(widen(raw))); }
 
 Tensor UncertaintyLoss::expected_error(const Tensor& raw) const {
   const auto x = widen(raw).detach().clamp_min(kRawMin).to(torch::kFloat64);

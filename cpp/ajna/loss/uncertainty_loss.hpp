@@ -16,10 +16,10 @@ Reduction parse_reduction(const std::string& name);
 
 /// What a config chooses; the defaults are the paper's Eq. 1.
 struct LossConfig {
-  TermSpec f{"l1"};                 ///< distance between prediction and target
-  TermSpec h{"inv_softplus"};       ///< attenuation of f, decreasing in a
-  TermSpec g{"softplus"};           ///< penalty on a, increasing
-  double lam = 1.0;                 ///< weight of g, > 0
+  TermSpec f{"l1"};                  ///< distance between prediction and target
+  TermSpec h{"inv_softplus"};        ///< attenuation of f, decreasing in a
+  TermSpec g{"softplus"};            ///< penalty on a, increasing
+  double lam = 1.0;                  ///< weight of g, > 0
   TermSpec parametrization{"none"};  ///< a = parametrization(raw)
 };
 

@@ -69,15 +69,11 @@ void append_layers(torch::nn::ModuleList& list, const std::vector<Layer>& layers
   }
 }
 
-torch::Tensor run_layers(const torch::nn::ModuleList& list, torch::Tensor x) {
-  for (const auto& module : *list) {
-    if (auto* unit = module->as<ConvUnitImpl>()) {
-      x = unit->forward(x);
-    } else {
-      x = module->as<ResidualBlockImpl>()->forward(x);
-    }
+torch::Tensor run_layer(torch::nn::Module& layer, const torch::Tensor& x) {
+  if (auto* unit = layer.as<ConvUnitImpl>()) {
+    return unit->forward(x);
   }
-  return x;
+  return layer.as<ResidualBlockImpl>()->forward(x);
 }
 
 }  // namespace
@@ -112,10 +108,10 @@ ConvUnitImpl::ConvUnitImpl(const Options& o) {
                                                .padding(o.kernel / 2)
                                                .output_padding(o.stride - 1)));
   } else {
-    conv_ = register_module("conv",
-                            torch::nn::Conv2d(torch::nn::Conv2dOptions(o.in_channels, o.out_channels, o.kernel)
-                                                  .stride(o.stride)
-                                                  .padding(o.kernel / 2)));
+    conv_ = register_module(
+        "conv",
+        torch::nn::Conv2d(
+            torch::nn::Conv2dOptions(o.in_channels, o.out_channels, o.kernel).stride(o.stride).padding(o.kernel / 2)));
   }
   if (o.activated) {
     norm_ = register_module("norm", torch::nn::BatchNorm2d(o.out_channels));
@@ -151,7 +147,23 @@ torch::Tensor FlowNetImpl::forward(const torch::Tensor& x) {
 }
 
 torch::Tensor FlowNetImpl::forward_aligned(torch::Tensor x) {
-  return run_layers(decoder_, run_layers(encoder_, std::move(x)));
+  for (const auto& part : {encoder_, decoder_}) {
+    for (const auto& layer : *part) {
+      x = run_layer(*layer, x);
+    }
+  }
+  return x;
+}
+
+std::vector<torch::Tensor> FlowNetImpl::forward_layers(torch::Tensor x) {
+  std::vector<torch::Tensor> activations;
+  for (const auto& part : {encoder_, decoder_}) {
+    for (const auto& layer : *part) {
+      x = run_layer(*layer, x);
+      activations.push_back(x);
+    }
+  }
+  return activations;
 }
 
 std::int64_t count_parameters(const torch::nn::Module& module) {
@@ -169,8 +181,9 @@ std::int64_t count_parameters(const NetConfig& config) {
   for (const auto* layers : {&table.encoder, &table.decoder}) {
     for (const auto& layer : *layers) {
       const std::int64_t c = layer.out_channels;
-      count += layer.is_residual() ? 2 * (9 * c * c + 3 * c)
-                                   : layer.kernel * layer.kernel * layer.in_channels * c + (layer.activated ? 3 * c : c);
+      count += layer.is_residual()
+                   ? 2 * (9 * c * c + 3 * c)
+                   : layer.kernel * layer.kernel * layer.in_channels * c + (layer.activated ? 3 * c : c);
     }
   }
   return count;

@@ -3,6 +3,8 @@
 
 #include <torch/torch.h>
 
+#include <vector>
+
 #include "ajna/nn/net_config.hpp"
 
 namespace ajna::nn {
@@ -55,6 +57,10 @@ class FlowNetImpl : public torch::nn::Module {
   torch::Tensor forward(const torch::Tensor& x);
   /// The bare network; both sides must be multiples of config().stride(). This is what is traced for TorchScript.
   torch::Tensor forward_aligned(torch::Tensor x);
+
+  /// Output and inner activations, for training with auxiliary losses: what each layer gives, from the first
+  /// convolution to the last, so that back() is the output. Both sides must be multiples of config().stride().
+  std::vector<torch::Tensor> forward_layers(torch::Tensor x);
 
   [[nodiscard]] const NetConfig& config() const noexcept { return config_; }
 

@@ -51,8 +51,8 @@ Tensor draw_magnitude(const SceneConfig& c, torch::IntArrayRef shape, Random& ra
 }
 
 /// Homographies [B, L, 3, 3] about the layer centres: translate(t) * perspective * rotate-and-scale.
-Tensor compose(const LayerPlacement& place, const Tensor& tx, const Tensor& ty, const Tensor& angle, const Tensor& scale,
-               const Tensor& px, const Tensor& py) {
+Tensor compose(const LayerPlacement& place, const Tensor& tx, const Tensor& ty, const Tensor& angle,
+               const Tensor& scale, const Tensor& px, const Tensor& py) {
   const auto zero = torch::zeros_like(tx), one = torch::ones_like(tx);
   const auto matrix = [](std::vector<Tensor> v) {
     return torch::stack(std::move(v), -1).view({-1, 3, 3}).to(torch::kFloat64);
@@ -151,8 +151,7 @@ LayerMotion draw_motion(const SceneConfig& c, const LayerPlacement& place, std::
   own = own.reshape({-1, 3, 3});
   motion.forward = (own / own.select(1, 2).select(1, 2).view({-1, 1, 1})).reshape({-1, 9}).to(torch::kFloat32);
   const auto inverse = torch::linalg_inv(motion.forward.view({-1, 3, 3}).to(torch::kFloat64));
-  motion.backward =
-      (inverse / inverse.select(1, 2).select(1, 2).view({-1, 1, 1})).reshape({-1, 9}).to(torch::kFloat32);
+  motion.backward = (inverse / inverse.select(1, 2).select(1, 2).view({-1, 1, 1})).reshape({-1, 9}).to(torch::kFloat32);
 
   motion.nonrigid = random.number() < c.nonrigid_probability;
   const std::int64_t rows = batch * layers;

@@ -21,11 +21,11 @@ struct LayerMotion {
   static constexpr double kMaxGradient = 0.3;
   static constexpr int kIterations = 16;  // 0.3^16 = 4e-9 of the amplitude: below float32 rounding
 
-  torch::Tensor forward;     ///< G, [R, 9]
-  torch::Tensor backward;    ///< G^-1, [R, 9]
-  torch::Tensor waves;       ///< [R, K, 5]: amplitude x, y; frequency x, y (rad/px); phase
-  bool projective = false;   ///< some G has a perspective part
-  bool nonrigid = false;     ///< some wave has an amplitude
+  torch::Tensor forward;    ///< G, [R, 9]
+  torch::Tensor backward;   ///< G^-1, [R, 9]
+  torch::Tensor waves;      ///< [R, K, 5]: amplitude x, y; frequency x, y (rad/px); phase
+  bool projective = false;  ///< some G has a perspective part
+  bool nonrigid = false;    ///< some wave has an amplitude
 
   /// Where points of frame 2 were in frame 1: [R, H, W] or broadcastable planes in, [R, H, W] out.
   [[nodiscard]] Points to_frame1(const Points& y) const;

@@ -84,8 +84,8 @@ Appearance draw_appearance(const SceneConfig& c, const TextureBank& bank, std::i
 Tensor coverage(const Scene& s, const Points& at) {
   const auto row = [&](const Tensor& x) { return x.reshape({s.batch * s.layers, 1, 1}); };
   const auto radius = row(s.place.radius);
-  const auto distance = s.shapes.signed_distance((at.x - row(s.place.center_x)) / radius,
-                                                 (at.y - row(s.place.center_y)) / radius);
+  const auto distance =
+      s.shapes.signed_distance((at.x - row(s.place.center_x)) / radius, (at.y - row(s.place.center_y)) / radius);
   auto alpha = ((distance * radius + 0.5).clamp(0, 1) * row(s.present)).view({s.batch, s.layers, s.height, s.width});
   alpha.select(1, 0).fill_(1.0);  // the background is everywhere
   return alpha;
@@ -185,7 +185,7 @@ Tensor draw_noise(torch::IntArrayRef shape, std::uint64_t seed, const torch::Dev
   return torch::randn(shape, generator, torch::TensorOptions().device(device));
 }
 
-Tensor join(const std::vector<PairBatch>& parts, Tensor PairBatch::* member) {
+Tensor join(const std::vector<PairBatch>& parts, Tensor PairBatch::*member) {
   std::vector<Tensor> tensors;
   tensors.reserve(parts.size());
   for (const auto& part : parts) {
@@ -203,7 +203,9 @@ const SceneConfig& validated(const SceneConfig& config) {
 
 PairGenerator::PairGenerator(const SceneConfig& config, std::uint64_t bank_seed, const torch::Device& device,
                              const std::optional<Tensor>& photos)
-    : config_(validated(config)), device_(device), bank_(config.bank_size, config.texture_size, bank_seed, device, photos) {}
+    : config_(validated(config)),
+      device_(device),
+      bank_(config.bank_size, config.texture_size, bank_seed, device, photos) {}
 
 PairBatch PairGenerator::generate(std::int64_t batch, std::int64_t height, std::int64_t width, std::uint64_t seed,
                                   double flow_scale) const {
@@ -248,9 +250,8 @@ PairBatch PairGenerator::generate(std::int64_t batch, std::int64_t height, std::
     const auto window = noise.slice(0, begin, end);
     parts.push_back(render_pair(scene, bank_, config_, window.select(1, 0), window.select(1, 1)));
   }
-  return {join(parts, &PairBatch::frame1),    join(parts, &PairBatch::frame2),
-          join(parts, &PairBatch::flow),      join(parts, &PairBatch::occlusion),
-          join(parts, &PairBatch::motion_boundary), join(parts, &PairBatch::layer1),
+  return {join(parts, &PairBatch::frame1),    join(parts, &PairBatch::frame2),          join(parts, &PairBatch::flow),
+          join(parts, &PairBatch::occlusion), join(parts, &PairBatch::motion_boundary), join(parts, &PairBatch::layer1),
           join(parts, &PairBatch::layer2)};
 }
 

@@ -23,7 +23,8 @@ struct PairBatch {
 /// Makes pairs: a background and several foreground layers with their own textures, outlines and motions, composited in
 /// both frames, then seen through a camera (motion blur, defocus, exposure, noise).
 ///
-/// Batched tensor code, the same on CPU and GPU. Equal (config, bank seed, photos, seed, shape) give equal bits on a CPU.
+/// Batched tensor code, the same on CPU and GPU. Equal (config, bank seed, photos, seed, shape) give equal bits on a
+/// CPU.
 class PairGenerator {
  public:
   /// Builds the texture bank. photos: uint8 [N, 3, texture_size, texture_size], optional.

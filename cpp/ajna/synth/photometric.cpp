@@ -43,9 +43,10 @@ Tensor motion_blur(const Tensor& image, const Tensor& vx, const Tensor& vy, cons
   auto sum = torch::zeros_like(part);
   for (int tap = 0; tap < kTaps; ++tap) {
     const double share = static_cast<double>(tap) / (kTaps - 1) - 0.5;
-    const auto grid = torch::stack({(x + share * dx) * (2.0 / std::max<double>(1, static_cast<double>(width - 1))) - 1,
-                                    (y + share * dy) * (2.0 / std::max<double>(1, static_cast<double>(height - 1))) - 1},
-                                   -1);
+    const auto grid =
+        torch::stack({(x + share * dx) * (2.0 / std::max<double>(1, static_cast<double>(width - 1))) - 1,
+                      (y + share * dy) * (2.0 / std::max<double>(1, static_cast<double>(height - 1))) - 1},
+                     -1);
     sum += F::grid_sample(
         part, grid, F::GridSampleFuncOptions().mode(torch::kBilinear).padding_mode(torch::kBorder).align_corners(true));
   }

@@ -36,7 +36,8 @@ void validate(const SceneConfig& c) {
   require_range("plate_weight", c.plate_weight, 0, 1e6);
   require(c.blob_weight + c.polygon_weight + c.bar_weight + c.plate_weight > 0, "blob_weight", c.blob_weight,
           "give at least one shape weight above 0");
-  if (c.flow_distribution != "exponential" && c.flow_distribution != "uniform" && c.flow_distribution != "log_uniform") {
+  if (c.flow_distribution != "exponential" && c.flow_distribution != "uniform" &&
+      c.flow_distribution != "log_uniform") {
     throw_unknown("flow_distribution", c.flow_distribution, {"exponential", "uniform", "log_uniform"});
   }
   require_range("flow_mean_px", c.flow_mean_px, 0, 1e4);

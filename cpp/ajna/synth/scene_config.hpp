@@ -9,36 +9,37 @@ namespace ajna::synth {
 /// What the scenes look like; defaults are the general-purpose mix. All probabilities are per scene or per layer.
 struct SceneConfig {
   // Layers
-  std::int64_t layers = 6;          ///< foreground layers at most, each present with layer_probability
-  double layer_probability = 0.7;   ///< per layer
-  double min_size = 0.06;           ///< smallest layer radius, as a fraction of the shorter image side
-  double max_size = 0.45;           ///< largest layer radius, same unit; radii are log-uniform
-  double blob_weight = 1.0;         ///< relative frequency of ellipses and smooth blobs
-  double polygon_weight = 1.0;      ///< of convex polygons and boxes
-  double bar_weight = 1.0;          ///< of thin bars and branches
-  double plate_weight = 0.25;       ///< of plates with holes
+  std::int64_t layers = 6;         ///< foreground layers at most, each present with layer_probability
+  double layer_probability = 0.7;  ///< per layer
+  double min_size = 0.06;          ///< smallest layer radius, as a fraction of the shorter image side
+  double max_size = 0.45;          ///< largest layer radius, same unit; radii are log-uniform
+  double blob_weight = 1.0;        ///< relative frequency of ellipses and smooth blobs
+  double polygon_weight = 1.0;     ///< of convex polygons and boxes
+  double bar_weight = 1.0;         ///< of thin bars and branches
+  double plate_weight = 0.25;      ///< of plates with holes
 
   // Motion, pixels per frame interval at the generated size
   std::string flow_distribution = "exponential";  ///< exponential, uniform or log_uniform
-  double flow_mean_px = 4.0;        ///< mean of exponential; the others run from 0 (0.1) to flow_max_px
-  double flow_max_px = 40.0;        ///< cap of each sampled displacement
-  double background_ratio = 0.6;    ///< background displacement relative to that of the layers
-  double rotation_zoom = 0.35;      ///< rotation and zoom displacement at the layer's rim, relative to its displacement
+  double flow_mean_px = 4.0;                      ///< mean of exponential; the others run from 0 (0.1) to flow_max_px
+  double flow_max_px = 40.0;                      ///< cap of each sampled displacement
+  double background_ratio = 0.6;                  ///< background displacement relative to that of the layers
+  double rotation_zoom = 0.35;  ///< rotation and zoom displacement at the layer's rim, relative to its displacement
   double perspective_probability = 0.3;  ///< of perspective change, per batch
   double nonrigid_probability = 0.3;     ///< of smooth non-rigid motion, per batch (then half of the layers)
   double attached_probability = 0.15;    ///< of a layer that moves exactly with the background
-  double parallax_probability = 0.25;    ///< of scenes whose layers move along the background's motion, nearer ones faster
-  double static_probability = 0.05;      ///< of scenes whose background does not move at all
+  double parallax_probability =
+      0.25;                          ///< of scenes whose layers move along the background's motion, nearer ones faster
+  double static_probability = 0.05;  ///< of scenes whose background does not move at all
 
   // Appearance
-  double blur_probability = 0.3;          ///< of motion blur, per scene
-  double shutter = 0.5;                   ///< longest open time as a fraction of the frame interval
-  double defocus_probability = 0.4;       ///< per scene
-  double defocus_max_px = 1.2;            ///< largest Gaussian sigma
-  double noise_max = 6.0;                 ///< largest standard deviation of additive noise, grey levels
-  double brightness_change = 0.12;        ///< largest relative gain change between the frames
-  double color_change = 0.05;             ///< largest relative gain change per channel between the frames
-  double gamma_change = 0.15;             ///< largest relative gamma change between the frames
+  double blur_probability = 0.3;     ///< of motion blur, per scene
+  double shutter = 0.5;              ///< longest open time as a fraction of the frame interval
+  double defocus_probability = 0.4;  ///< per scene
+  double defocus_max_px = 1.2;       ///< largest Gaussian sigma
+  double noise_max = 6.0;            ///< largest standard deviation of additive noise, grey levels
+  double brightness_change = 0.12;   ///< largest relative gain change between the frames
+  double color_change = 0.05;        ///< largest relative gain change per channel between the frames
+  double gamma_change = 0.15;        ///< largest relative gamma change between the frames
 
   // Textures
   std::int64_t bank_size = 192;     ///< procedural textures in the bank

@@ -44,8 +44,8 @@ Tensor blobs(std::int64_t rows, const RasterGrid& grid, Random& random) {
   const auto wobble = random.chance({rows, 1, 1}, 0.5).to(torch::kFloat32) * random.uniform({rows, 1, 1}, 0.05, 0.3);
   for (const std::int64_t harmonic : {2, 3, 5, 7}) {
     const auto amplitude = wobble * random.normal({rows, 1, 1}) / (0.5 * static_cast<double>(harmonic));
-    outline = outline + amplitude * torch::cos(angle * static_cast<double>(harmonic) +
-                                               random.uniform({rows, 1, 1}, 0, 2 * kPi));
+    outline = outline +
+              amplitude * torch::cos(angle * static_cast<double>(harmonic) + random.uniform({rows, 1, 1}, 0, 2 * kPi));
   }
   return normalize_gradient(outline.clamp(0.25, 1.2) - (x.square() + y.square()).sqrt());
 }
@@ -85,7 +85,8 @@ ShapeSet::ShapeSet(const SceneConfig& config, std::int64_t rows, Random& random)
   const auto blob = blobs(rows, grid, random), polygon = polygons(rows, grid, random);
   raster_ = torch::where(by_row(pick < polygon_from), blob, polygon);
   // A plate is everything but a hole; half of the plates end at a box around it.
-  const auto hole = torch::where(by_row(random.chance({rows}, 0.5)), blob, polygon) - random.uniform({rows, 1, 1}, 0, 0.3);
+  const auto hole =
+      torch::where(by_row(random.chance({rows}, 0.5)), blob, polygon) - random.uniform({rows, 1, 1}, 0, 0.3);
   const auto side = random.uniform({rows, 1, 1}, 1.05, 1.25);
   const auto frame = side - torch::maximum(grid.x.abs(), grid.y.abs());
   const auto plate = torch::where(by_row(random.chance({rows}, 0.5)), torch::minimum(frame, -hole), -hole);
@@ -123,16 +124,19 @@ ShapeSet ShapeSet::slice(std::int64_t begin, std::int64_t end, const torch::Devi
 
 Tensor ShapeSet::signed_distance(const Tensor& x, const Tensor& y) const {
   const auto grid = torch::stack({x, y}, -1) / kExtent;
-  auto distance = F::grid_sample(
-      raster_.unsqueeze(1), grid,
-      F::GridSampleFuncOptions().mode(torch::kBilinear).padding_mode(torch::kBorder).align_corners(true)).squeeze(1);
+  auto distance =
+      F::grid_sample(raster_.unsqueeze(1), grid,
+                     F::GridSampleFuncOptions().mode(torch::kBilinear).padding_mode(torch::kBorder).align_corners(true))
+          .squeeze(1);
   const auto bars = is_bar_.nonzero().squeeze(1);
   if (bars.size(0) == 0) {
     return distance;
   }
   const auto bx = x.index_select(0, bars), by = y.index_select(0, bars);
   const auto segments = segments_.index_select(0, bars), radius = radius_.index_select(0, bars);
-  const auto column = [&](std::int64_t s, std::int64_t k) { return segments.select(1, s).select(1, k).view({-1, 1, 1}); };
+  const auto column = [&](std::int64_t s, std::int64_t k) {
+    return segments.select(1, s).select(1, k).view({-1, 1, 1});
+  };
   Tensor best;
   for (std::int64_t s = 0; s < kSegments; ++s) {
     const auto x0 = column(s, 0), y0 = column(s, 1), ux = column(s, 2) - x0, uy = column(s, 3) - y0;

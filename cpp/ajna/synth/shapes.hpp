@@ -28,11 +28,11 @@ class ShapeSet {
  private:
   ShapeSet() = default;
 
-  torch::Tensor raster_;    // [R, Q, Q] over [-kExtent, kExtent]^2
-  torch::Tensor is_bar_;    // bool [R]
+  torch::Tensor raster_;     // [R, Q, Q] over [-kExtent, kExtent]^2
+  torch::Tensor is_bar_;     // bool [R]
   torch::Tensor unbounded_;  // bool [R]
-  torch::Tensor segments_;  // [R, S, 4]: x0, y0, x1, y1
-  torch::Tensor radius_;    // [R, S]: half thickness of each segment
+  torch::Tensor segments_;   // [R, S, 4]: x0, y0, x1, y1
+  torch::Tensor radius_;     // [R, S]: half thickness of each segment
 };
 
 }  // namespace ajna::synth

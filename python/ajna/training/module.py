@@ -13,7 +13,8 @@ from torch import Tensor
 
 from ajna.metrics import AUSE, EndPointError, Spearman, end_point_error
 from ajna.nn import load_checkpoint, network_input
-from ajna.training.options import LossOptions, NetOptions, OptimOptions
+from ajna.training.guidance import FlowHeads, start_with_motion_energy
+from ajna.training.options import GuidanceOptions, LossOptions, NetOptions, OptimOptions
 
 
 class FlowModule(pl.LightningModule):
@@ -27,6 +28,7 @@ class FlowModule(pl.LightningModule):
         net: shape of the network.
         loss: the uncertainty loss and the hand-over to it.
         optim: optimizer, learning rate, clipping, averaging.
+        guidance: aids for the start.
         flow_scale: the network predicts flow in pixels divided by this.
         init_from: a checkpoint (.safetensors) whose weights to begin with; its shape must be that of ``net``.
         channels_last: keep weights and activations channels-last (faster on CPUs and tensor cores).
@@ -37,6 +39,7 @@ class FlowModule(pl.LightningModule):
         net: NetOptions | None = None,
         loss: LossOptions | None = None,
         optim: OptimOptions | None = None,
+        guidance: GuidanceOptions | None = None,
         flow_scale: float = 1.0,
         init_from: str | None = None,
         channels_last: bool = True,
@@ -48,11 +51,15 @@ class FlowModule(pl.LightningModule):
         self.automatic_optimization = False
         self.options = loss or LossOptions()
         self.optim = optim or OptimOptions()
+        self.guidance = guidance or GuidanceOptions()
         self.flow_scale = flow_scale
         self.memory_format = torch.channels_last if channels_last else torch.contiguous_format
         self.net = (net or NetOptions()).build()
         if init_from is not None:
             self._start_from(init_from)
+        elif self.guidance.motion_energy:
+            start_with_motion_energy(self.net)
+        self.heads = FlowHeads(self.net) if self.guidance.heads_weight else None
         self.net.to(memory_format=self.memory_format)  # type: ignore[call-overload]
         self.ema = (net or NetOptions()).build()
         self.ema.to(memory_format=self.memory_format)  # type: ignore[call-overload]
@@ -82,9 +89,10 @@ class FlowModule(pl.LightningModule):
     def configure_optimizers(self) -> torch.optim.Optimizer:
         options = self.optim
         # Weight decay is for convolution kernels only; biases and normalisation have one dimension.
+        trained = [*self.net.parameters(), *(self.heads.parameters() if self.heads is not None else ())]
         groups = [
-            {"params": [p for p in self.net.parameters() if p.dim() > 1], "weight_decay": options.weight_decay},
-            {"params": [p for p in self.net.parameters() if p.dim() <= 1], "weight_decay": 0.0},
+            {"params": [p for p in trained if p.dim() > 1], "weight_decay": options.weight_decay},
+            {"params": [p for p in trained if p.dim() <= 1], "weight_decay": 0.0},
         ]
         kind = {"adamw": torch.optim.AdamW, "adam": torch.optim.Adam}[options.optimizer]
         return kind(groups, lr=options.lr, betas=tuple(options.betas))
@@ -118,8 +126,21 @@ class FlowModule(pl.LightningModule):
         rate = self.optim.lr_at(step, self.trainer.max_steps)
         for group in optimizer.param_groups:
             group["lr"] = rate
-        output = self.net(self._input(batch["frame1"], batch["frame2"])).float()
-        loss = self.objective(output, batch, step)
+        frames = self._input(batch["frame1"], batch["frame2"])
+        if self.heads is None:
+            output = self.net(frames).float()
+            loss = self.objective(output, batch, step)
+        else:
+            stride = self.net.config.stride
+            if frames.shape[2] % stride or frames.shape[3] % stride:
+                raise ValueError(
+                    f"training crops of {frames.shape[3]}x{frames.shape[2]}: give stages whose sides are multiples of "
+                    f"{stride}, or guidance.heads_weight 0"
+                )
+            activations = self.net.forward_layers(frames)
+            output = activations[-1].float()
+            loss = self.objective(output, batch, step)
+            loss = loss + self.guidance.weight_at(step) * self.heads.loss(activations, batch["flow"] / self.flow_scale)
         optimizer.zero_grad()
         self.manual_backward(loss)
         norm = torch.nn.utils.clip_grad_norm_(self.net.parameters(), self.optim.gradient_clip)

@@ -79,6 +79,30 @@ class LossOptions:
 
 
 @dataclass
+class GuidanceOptions:
+    """Aids for the start (see ajna.training.guidance).
+
+    ``motion_energy`` sets the first convolution; heads on inner layers add ``heads_weight`` times their L1 loss,
+    falling to ``heads_final`` times that over ``heads_steps`` steps.
+    """
+
+    motion_energy: bool = True
+    heads_weight: float = 1.0
+    heads_final: float = 0.1
+    heads_steps: int = 8000
+
+    def __post_init__(self) -> None:
+        _require(self.heads_weight >= 0, "guidance.heads_weight", self.heads_weight, "give 0 (no heads) or more")
+        _require(0 <= self.heads_final <= 1, "guidance.heads_final", self.heads_final, "give 0 to 1")
+        _require(self.heads_steps >= 1, "guidance.heads_steps", self.heads_steps, "give at least 1")
+
+    def weight_at(self, step: int) -> float:
+        """Weight of the heads' loss at ``step``: half a cosine from ``heads_weight`` down."""
+        t = min(1.0, step / self.heads_steps)
+        return self.heads_weight * (self.heads_final + (1 - self.heads_final) * 0.5 * (1 + math.cos(math.pi * t)))
+
+
+@dataclass
 class OptimOptions:
     """Optimizer, learning rate over steps, clipping and weight averaging."""
 
