@@ -12,7 +12,9 @@ using loss::UncertaintyLoss;
 
 void bind_loss(py::module_& m) {
   py::class_<TermSpec>(m, "TermSpec", "A loss term by name with its parameters.")
-      .def(py::init([](std::string name, loss::TermParams params) { return TermSpec{std::move(name), std::move(params)}; }),
+      .def(py::init([](std::string name, loss::TermParams params) {
+             return TermSpec{std::move(name), std::move(params)};
+           }),
            "name"_a, "params"_a = loss::TermParams{})
       .def_readwrite("name", &TermSpec::name)
       .def_readwrite("params", &TermSpec::params)
