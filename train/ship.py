@@ -31,14 +31,14 @@ def card(name: str, digest: str, metadata: dict[str, Any], net: Any, config: str
     provenance = metadata["provenance"]
     seconds = float(provenance.get("training_seconds", "nan"))
     gflop = 2 * count_macs(net.config, 240, 320) / 1e9
+    amount = f"{provenance['steps']} steps, {int(provenance['samples']):,} samples, {seconds / 60:.0f} minutes"
     lines = [
         f"# Model card: ajna-{name}-{digest}",
         "",
         f"- **Network**: {net!r}; {count_parameters(net):,} parameters; {gflop:.2f} GFLOP at 320x240.",
         f"- **Loss**: {metadata['loss']}; network output x {metadata['flow_scale']:g} = pixels.",
         f"- **Data**: {provenance.get('data', 'not recorded')}.",
-        f"- **Training**: {provenance['steps']} steps, {int(provenance['samples']):,} samples, {seconds / 60:.0f} minutes "
-        f"on {args.hardware}; {provenance['skipped_steps']} steps skipped as not finite; torch {provenance['torch']}.",
+        f"- **Training**: {amount} on {args.hardware}; {provenance['skipped_steps']} steps skipped as not finite; torch {provenance['torch']}.",
         "- **Licence**: MIT, as the rest of the package.",
         "",
         "## Scores",
