@@ -38,7 +38,8 @@ def card(name: str, digest: str, metadata: dict[str, Any], net: Any, config: str
         f"- **Network**: {net!r}; {count_parameters(net):,} parameters; {gflop:.2f} GFLOP at 320x240.",
         f"- **Loss**: {metadata['loss']}; network output x {metadata['flow_scale']:g} = pixels.",
         f"- **Data**: {provenance.get('data', 'not recorded')}.",
-        f"- **Training**: {amount} on {args.hardware}; {provenance['skipped_steps']} steps skipped as not finite; torch {provenance['torch']}.",
+        f"- **Training**: {amount} on {args.hardware}; "
+        f"{provenance['skipped_steps']} steps skipped as not finite; torch {provenance['torch']}.",
         "- **Licence**: MIT, as the rest of the package.",
         "",
         "## Scores",
