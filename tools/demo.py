@@ -72,7 +72,7 @@ def render(folder: Path) -> None:
     pair = PairGenerator()(1, 240, 320, seed=1)
     folder.mkdir(parents=True, exist_ok=True)
     for name in ("frame1", "frame2"):
-        io.write_image(folder / f"{name}.png", pair[name][0].permute(1, 2, 0).contiguous().numpy())
+        io.write_image(folder / f"{name}.png", getattr(pair, name)[0].permute(1, 2, 0).contiguous().numpy())
 
 
 def ajna(*arguments: object) -> None:
