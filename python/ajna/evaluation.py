@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ajna.baselines import FlowMethod
-from ajna.data.pairs import FramePair, PairsDataset, check_names
+from ajna.data.dataset import FlowDataset, check_names
+from ajna.data.frame_pair import FramePair
 from ajna.metrics import EndPointError, FlAll, OcclusionAUC, Sparsification, SparsificationCurves, Spearman
 
 # Motion far beyond what a network for a drone's frames is meant for (Sintel's market_5 holds |flow| up to 132 px, 32 px
@@ -66,6 +67,7 @@ class Evaluation:
     methods: dict[str, MethodReport]
     uncertainty_only: tuple[str, ...] = ()  # present cases that stay out of the means of the error figures
     excluded: tuple[str, ...] = ()  # cases left out of `mean_without_excluded`
+    bad: dict[str, str] = field(default_factory=dict)  # cases that cannot be read (with skip_bad), and why
 
     def to_json(self) -> dict[str, Any]:
         """Plain keys, numbers, null for undefined."""
@@ -73,6 +75,7 @@ class Evaluation:
             "size": list(self.size) if self.size else None,
             "uncertainty_only_cases": list(self.uncertainty_only),
             "excluded_cases": list(self.excluded),
+            "bad_cases": self.bad,
             "methods": {
                 name: {
                     "cases": {case: asdict(scores) for case, scores in report.cases.items()},
@@ -88,7 +91,7 @@ OnCase = Callable[[str, FramePair, Any, Scores], None]
 
 
 def evaluate(
-    dataset: PairsDataset,
+    dataset: FlowDataset,
     methods: Mapping[str, FlowMethod],
     *,
     size: tuple[int, int] | None = (320, 240),
@@ -108,7 +111,7 @@ def evaluate(
         on_case: called with (method name, resized pair, field, scores) after each case, e.g. to draw pictures.
 
     Raises:
-        ValueError: an unknown case in `exclude`, or an unreadable pair.
+        ValueError: an unknown case in `exclude`, or an unreadable pair (with the data set's `skip_bad`: no readable).
         RuntimeError: a method returned values that are not finite or of the wrong shape.
     """
     excluded = tuple(exclude)
@@ -118,14 +121,16 @@ def evaluate(
     left_out = tuple(name for name in dataset.names if name in set(uncertainty_only))
     reports = {name: MethodReport() for name in methods}
     curves = {name: Sparsification() for name in methods}
-    for index in range(len(dataset)):
-        pair = dataset[index] if size is None else dataset[index].resized(*size)
+    for native in dataset.pairs():
+        pair = native if size is None else native.resized(*size)
         for name, method in methods.items():
             result, run_time_ms = _run(name, method, pair, repeats)
             scores = _score(pair, result, run_time_ms, curves[name])
             reports[name].cases[pair.name] = scores
             if on_case is not None:
                 on_case(name, pair, result, scores)
+    if len(dataset.bad) == len(dataset):
+        raise dataset.none_left()
     for name, report in reports.items():
         if any(scores.ause is not None for scores in report.cases.values()):
             report.curves = curves[name].compute()
@@ -133,7 +138,7 @@ def evaluate(
         if excluded:
             rest = {case: scores for case, scores in report.cases.items() if case not in excluded}
             report.mean_without_excluded = mean_scores(rest, without_errors=left_out)
-    return Evaluation(size, reports, left_out, excluded)
+    return Evaluation(size, reports, left_out, excluded, dict(dataset.bad))
 
 
 def mean_scores(cases: Mapping[str, Scores], without_errors: Iterable[str] = ()) -> Scores:

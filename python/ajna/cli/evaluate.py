@@ -7,26 +7,20 @@ import json
 import re
 from collections.abc import Iterable
 from contextlib import nullcontext
-from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ajna.cli.options import DeviceOption, JsonOption, ThreadsOption, parse_size
+from ajna.data.registry import DATASETS, open_dataset, parse_options
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from ajna.baselines import FlowMethod
-    from ajna.data.pairs import FramePair
+    from ajna.data.frame_pair import FramePair
     from ajna.evaluation import Evaluation, MethodReport, Scores
-
-
-class DatasetName(str, Enum):
-    """Data sets that can be scored."""
-
-    pairs = "pairs"
 
 
 # field of Scores -> (heading, format); fractions are shown in percent
@@ -54,7 +48,12 @@ _LEGEND = (
 
 def evaluate(
     root: Annotated[Path, typer.Option(help="Folder of the data set; for 'pairs' one folder per pair.")],
-    dataset: Annotated[DatasetName, typer.Option(help="Kind of data set.")] = DatasetName.pairs,
+    dataset: Annotated[str, typer.Option(metavar="NAME", help=f"Kind of data set: {', '.join(DATASETS)}.")] = "pairs",
+    option: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Option of the data set, e.g. pass_name=final; repeatable."),
+    ] = None,
+    skip_bad: Annotated[bool, typer.Option(help="Count and list unreadable pairs instead of stopping.")] = False,
     model: Annotated[
         list[str] | None, typer.Option(help="Model by name, checkpoint or TorchScript file; may be repeated.")
     ] = None,
@@ -87,13 +86,12 @@ def evaluate(
     from rich.console import Console
 
     from ajna.cli.outputs import check_folder, staged_folder
-    from ajna.data.pairs import PairsDataset
     from ajna.evaluation import evaluate as run
 
     scored_size = None if size == "full" else parse_size(size)
     if out is not None:
         check_folder(out)
-    data = PairsDataset(root, _split(cases))
+    data = open_dataset(dataset, root, _split(cases), skip_bad, parse_options(option), scoring=True)
     methods = _methods(model or [], _split(method), device, threads)
     total, done = len(data) * len(methods), 0
     with (
@@ -109,7 +107,7 @@ def evaluate(
                 _write_overview(stage / f"{_file_name(name)}_{_file_name(pair.name)}.png", name, pair, field)
 
         result = run(data, methods, size=scored_size, exclude=_split(exclude), repeats=repeats, on_case=on_case)
-        record = {"dataset": dataset.value, "root": str(root), **result.to_json()}
+        record = {"dataset": dataset, "root": str(root), **result.to_json()}
         if stage is not None:
             _write_results(stage, record, result)
     if as_json:
@@ -182,6 +180,10 @@ def print_tables(result: Evaluation, console: Console, root: Path) -> None:
         )
     if result.excluded:
         console.print(f"excluded: {', '.join(result.excluded)}")
+    if result.bad:
+        console.print(f"not scored, because they cannot be read: {len(result.bad)}")
+        for case, reason in result.bad.items():
+            console.print(f"  {case}: {reason}", soft_wrap=True)
     console.print(_LEGEND, style="dim")
 
 

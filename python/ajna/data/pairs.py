@@ -1,19 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""A folder of frame pairs with (optional) ground truth: the data set that `ajna evaluate` scores."""
+"""A folder of frame pairs with (optional) ground truth: the simplest data set, for pairs of one's own."""
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
-from torch.utils.data import Dataset
 
 from ajna import io
+from ajna.data.dataset import FilesDataset, Sample, TruthFiles, check_names, read_sparse_flo
+from ajna.data.frame_pair import FramePair, resize_area
+
+__all__ = ["FramePair", "PairsDataset", "check_names", "resize_area"]
 
 FRAME_SUFFIXES = (".png", ".ppm", ".jpg", ".jpeg", ".bmp", ".pgm")
 FRAME_STEMS = {"frame1": ("img1", "frame1"), "frame2": ("img2", "frame2")}
@@ -24,96 +21,7 @@ LAYOUT = (
 )
 
 
-@dataclass(frozen=True)
-class FramePair:
-    """One pair. Arrays are on frame 1's grid; what the data set does not have is None.
-
-    Attributes:
-        name: the case's folder name.
-        frame1, frame2: RGB uint8 [H, W, 3].
-        flow: ground truth float32 [H, W, 2], pixels, 0 where not valid.
-        valid: bool [H, W], where the ground truth is known and may be scored; None exactly where `flow` is.
-        occlusion: bool [H, W], visible in frame 1 and hidden in, or outside, frame 2.
-    """
-
-    name: str
-    frame1: NDArray[np.uint8]
-    frame2: NDArray[np.uint8]
-    flow: NDArray[np.float32] | None = None
-    valid: NDArray[np.bool_] | None = None
-    occlusion: NDArray[np.bool_] | None = None
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) in pixels."""
-        return self.frame1.shape[1], self.frame1.shape[0]
-
-    def resized(self, width: int, height: int) -> FramePair:
-        """The pair at another size: frames by area, ground truth and masks by the nearest pixel, vectors scaled.
-
-        Nearest, because ground truth may be sparse and flow edges are real: an average over a motion boundary would be
-        a motion that no point has. u is scaled by width / W, v by height / H.
-        """
-        if width < 1 or height < 1:
-            raise ValueError(f"size {width}x{height} is not a picture; both sides must be at least 1 pixel.")
-        if (width, height) == self.size:
-            return self
-        old_width, old_height = self.size
-        rows, columns = _nearest(old_height, height), _nearest(old_width, width)
-
-        def pick(array: NDArray[Any] | None) -> NDArray[Any] | None:
-            return None if array is None else array[rows][:, columns]
-
-        scale = np.array([width / old_width, height / old_height], dtype=np.float32)
-        flow = pick(self.flow)
-        return FramePair(
-            self.name,
-            resize_area(self.frame1, width, height),
-            resize_area(self.frame2, width, height),
-            None if flow is None else flow * scale,
-            pick(self.valid),
-            pick(self.occlusion),
-        )
-
-
-def _nearest(old: int, new: int) -> NDArray[np.intp]:
-    """For each of `new` samples the old pixel that holds its centre."""
-    return np.minimum(((np.arange(new) + 0.5) * old / new).astype(np.intp), old - 1)
-
-
-def _resampling(old: int, new: int) -> NDArray[np.float64]:
-    """Weights [new, old], rows summing to 1: area overlap when shrinking, linear interpolation when enlarging."""
-    if new <= old:
-        edges = np.arange(new + 1) * old / new
-        pixel = np.arange(old)
-        overlap = np.minimum(edges[1:, None], pixel + 1) - np.maximum(edges[:-1, None], pixel)
-        return np.clip(overlap, 0.0, None) * new / old
-    centre = np.clip((np.arange(new) + 0.5) * old / new - 0.5, 0, old - 1)
-    lower = np.minimum(centre.astype(np.intp), max(old - 2, 0))
-    weights = np.zeros((new, old))
-    np.add.at(weights, (np.arange(new), lower), 1.0 - (centre - lower))
-    np.add.at(weights, (np.arange(new), np.minimum(lower + 1, old - 1)), centre - lower)
-    return weights
-
-
-def resize_area(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
-    """Resize an image uint8 [H, W, C]: each new pixel is the mean over its area (linear interpolation to enlarge)."""
-    rows = _resampling(image.shape[0], height) @ image.reshape(image.shape[0], -1).astype(np.float64)
-    rows = rows.reshape(height, image.shape[1], image.shape[2])
-    resized = np.matmul(_resampling(image.shape[1], width), rows)
-    return np.clip(np.rint(resized), 0, 255).astype(np.uint8)
-
-
-@dataclass(frozen=True)
-class _CaseFiles:
-    frame1: Path
-    frame2: Path
-    flow: Path | None
-    occlusion: Path | None
-    invalid: Path | None
-
-
-class PairsDataset(Dataset[FramePair]):
+class PairsDataset(FilesDataset):
     """Frame pairs under a folder, in order of name; items are read when asked for::
 
         ROOT/
@@ -126,6 +34,7 @@ class PairsDataset(Dataset[FramePair]):
     Args:
         root: the folder that holds one folder per pair.
         cases: only these (and in this order); by default all.
+        skip_bad, max_flow: see FlowDataset.
 
     Raises:
         FileNotFoundError: `root` is missing, holds no pair, or a pair lacks a frame; says what is expected where.
@@ -133,52 +42,15 @@ class PairsDataset(Dataset[FramePair]):
             read) parts whose sizes differ.
     """
 
-    def __init__(self, root: str | Path, cases: Sequence[str] = ()) -> None:
-        self.root = Path(root)
-        files = _find_cases(self.root)
-        check_names(cases, files, self.root)
-        self._files = {name: files[name] for name in cases or files}
-        self.names: tuple[str, ...] = tuple(self._files)
+    title = "pairs"
 
-    def __len__(self) -> int:
-        return len(self.names)
-
-    def __getitem__(self, index: int) -> FramePair:
-        name = self.names[index]
-        files = self._files[name]
-        frame1, frame2 = io.read_image(files.frame1), io.read_image(files.frame2)
-        parts: dict[str, NDArray[Any]] = {files.frame2.name: frame2}
-        flow = valid = occlusion = None
-        if files.flow is not None:
-            flow, valid = _read_flow(files.flow)
-            parts[files.flow.name] = valid
-        if files.invalid is not None:
-            parts[files.invalid.name] = invalid = _read_mask(files.invalid)
-        if files.occlusion is not None:
-            parts[files.occlusion.name] = occlusion = _read_mask(files.occlusion)
-        for part, array in parts.items():
-            if array.shape[:2] != frame1.shape[:2]:
-                raise ValueError(
-                    f"case '{name}': {part} is {array.shape[1]}x{array.shape[0]}, but {files.frame1.name} is "
-                    f"{frame1.shape[1]}x{frame1.shape[0]}; all parts of a case must have one size."
-                )
-        if flow is not None and valid is not None:
-            valid = valid & ~invalid if files.invalid is not None else valid
-            flow = np.where(valid[..., None], flow, np.float32(0))
-        return FramePair(name, frame1, frame2, flow, valid, occlusion)
+    def __init__(
+        self, root: str | Path, cases: Sequence[str] = (), skip_bad: bool = False, max_flow: float | None = None
+    ) -> None:
+        super().__init__(root, _find_cases(Path(root)), cases, skip_bad, max_flow)
 
 
-def check_names(names: Iterable[str], known: Iterable[str], root: str | Path) -> None:
-    """Raise ValueError, with the nearest or all known names, if one of `names` is not a case."""
-    known = list(known)
-    for name in names:
-        if name not in known:
-            near = difflib.get_close_matches(name, known, n=1)
-            hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(known)}."
-            raise ValueError(f"'{name}' is not a case of '{root}'; {hint}")
-
-
-def _find_cases(root: Path) -> dict[str, _CaseFiles]:
+def _find_cases(root: Path) -> dict[str, Sample]:
     if not root.is_dir():
         what = "is not a folder" if root.exists() else "does not exist"
         raise FileNotFoundError(f"data folder '{root}' {what}; {LAYOUT}.")
@@ -191,7 +63,7 @@ def _find_cases(root: Path) -> dict[str, _CaseFiles]:
     if not candidates:
         held = f"{len(folders)} folders without frames" if folders else "no folders"
         raise FileNotFoundError(f"data folder '{root}' holds no frame pairs ({held}); {LAYOUT}.")
-    return {path.name: _case_files(path) for path in candidates}
+    return {path.name: _sample(path) for path in candidates}
 
 
 def _frame(folder: Path, part: str) -> Path | None:
@@ -210,7 +82,7 @@ def _holds_a_part(folder: Path) -> bool:
     )
 
 
-def _case_files(folder: Path) -> _CaseFiles:
+def _sample(folder: Path) -> Sample:
     frames = {part: _frame(folder, part) for part in FRAME_STEMS}
     missing = [FRAME_STEMS[part][0] for part, path in frames.items() if path is None]
     if frames["frame1"] is None or frames["frame2"] is None:
@@ -220,22 +92,9 @@ def _case_files(folder: Path) -> _CaseFiles:
         raise ValueError(
             f"case '{folder.name}' in '{folder.parent}' has both flow.flo and flow.png; remove the one not to score."
         )
-    return _CaseFiles(
-        frames["frame1"],
-        frames["frame2"],
-        truths[0] if truths else None,
-        _optional(folder, "occ.png"),
-        _optional(folder, "invalid.png"),
-    )
-
-
-def _read_flow(path: Path) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    if path.suffix == ".flo":
-        flow = io.read_flo(path)
-        return flow, io.known_flow(flow)
-    return io.read_kitti_flow(path)
-
-
-def _read_mask(path: Path) -> NDArray[np.bool_]:
-    """White is true."""
-    return io.read_image(path)[..., 0] >= 128
+    occlusion, invalid = _optional(folder, "occ.png"), _optional(folder, "invalid.png")
+    if not truths:
+        return Sample(frames["frame1"], frames["frame2"], occlusion=occlusion)
+    reader = read_sparse_flo if truths[0].suffix == ".flo" else io.read_kitti_flow
+    truth = TruthFiles(truths[0], reader, occlusion, invalid=invalid)
+    return Sample(frames["frame1"], frames["frame2"], truth)
