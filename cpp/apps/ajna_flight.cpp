@@ -9,6 +9,7 @@
 #include <algorithm>
 #include <charconv>
 #include <chrono>
+#include <cmath>
 #include <cstdint>
 #include <cstdio>
 #include <filesystem>
@@ -92,7 +93,7 @@ ajna::Image resize(const ajna::Image& image, Size size) {
 
 /// The value below which a share `quantile` of `sorted` lies (nearest rank).
 double quantile_of(const std::vector<double>& sorted, double quantile) {
-  const auto rank = static_cast<std::size_t>(quantile * static_cast<double>(sorted.size() - 1) + 0.5);
+  const auto rank = static_cast<std::size_t>(std::lround(quantile * static_cast<double>(sorted.size() - 1)));
   return sorted[rank];
 }
 
