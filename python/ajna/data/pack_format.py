@@ -117,8 +117,8 @@ class Layout:
     def decode_batch(self, records: Tensor) -> dict[str, Tensor]:
         """Records uint8 [B, bytes] as tensors on the same device.
 
-        Frames are uint8 [B, 3, H, W] (views into the records, channels last), flow is float32 [B, 2, H, W], masks are bool
-        [B, 1, H, W].
+        Frames are uint8 [B, 3, H, W] (views into the records, channels last), flow is float32 [B, 2, H, W], masks are
+        bool [B, 1, H, W].
         """
         batch, pixels = records.shape[0], self.height * self.width
         made: dict[str, Tensor] = {}
