@@ -1,129 +1,114 @@
 // SPDX-License-Identifier: MIT
 #include "ajna/loss/terms.hpp"
 
-#include <cmath>
+#include <memory>
 #include <utility>
 
 #include "ajna/base/error.hpp"
+#include "ajna/loss/expression.hpp"
+#include "ajna/loss/registry.hpp"
 
 namespace ajna::loss {
 namespace {
 
 using torch::Tensor;
 
-template <class Function>
-struct Entry {
-  TermParams defaults;
-  std::function<Function(const TermParams&)> make;
-};
-using ErrorFunction = std::function<Tensor(const Tensor&, const Tensor&)>;
-using ScalarFunction = std::function<Tensor(const Tensor&)>;
-template <class Function>
-using Registry = std::map<std::string, Entry<Function>>;
+std::string label(const std::string& kind, const TermSpec& spec) { return kind + " = '" + spec.name + "'"; }
 
-const Registry<ErrorFunction>& error_terms() {
-  static const Registry<ErrorFunction> registry = {
-      {"l1", {{}, [](const TermParams&) { return [](const Tensor& p, const Tensor& t) { return (p - t).abs(); }; }}},
-      {"squared_error",
-       {{}, [](const TermParams&) { return [](const Tensor& p, const Tensor& t) { return (p - t).square(); }; }}},
-      {"charbonnier",
-       {{{"eps", 1e-3}},
-        [](const TermParams& params) {
-          const double eps = params.at("eps");
-          return [eps](const Tensor& p, const Tensor& t) { return ((p - t).square() + eps * eps).sqrt() - eps; };
-        }}},
-  };
-  return registry;
+void no_params(const std::string& kind, const TermSpec& spec) {
+  if (!spec.params.empty()) {
+    throw_invalid(label(kind, spec) + " is a function of yours and takes no parameters: remove '" +
+                  spec.params.begin()->first + "'");
+  }
 }
 
-const Registry<ScalarFunction>& attenuations() {
-  static const Registry<ScalarFunction> registry = {
-      // Paper Eq. 1: 1 / log(1 + e^(a + eps)); note that eps sits inside the exponent.
-      {"inv_softplus",
-       {{{"eps", 1e-3}},
-        [](const TermParams& params) {
-          const double eps = params.at("eps");
-          return [eps](const Tensor& a) { return torch::softplus(a + eps).reciprocal(); };
-        }}},
-      {"inv", {{}, [](const TermParams&) { return [](const Tensor& a) { return a.reciprocal(); }; }}},
-      {"inv_square", {{}, [](const TermParams&) { return [](const Tensor& a) { return a.square().reciprocal(); }; }}},
-  };
-  return registry;
-}
-
-const Registry<ScalarFunction>& penalties() {
-  static const Registry<ScalarFunction> registry = {
-      {"softplus", {{}, [](const TermParams&) { return [](const Tensor& a) { return torch::softplus(a); }; }}},
-      {"log", {{}, [](const TermParams&) { return [](const Tensor& a) { return a.log(); }; }}},
-      {"log_square", {{}, [](const TermParams&) { return [](const Tensor& a) { return a.square().log(); }; }}},
-  };
-  return registry;
-}
-
-const Registry<ScalarFunction>& parametrizations() {
-  static const Registry<ScalarFunction> registry = {
-      {"none", {{}, [](const TermParams&) { return [](const Tensor& raw) { return raw; }; }}},
-      {"softplus", {{}, [](const TermParams&) { return [](const Tensor& raw) { return torch::softplus(raw); }; }}},
-      {"exp", {{}, [](const TermParams&) { return [](const Tensor& raw) { return raw.exp(); }; }}},
-  };
-  return registry;
-}
-
-template <class Function>
-std::vector<std::string> names(const Registry<Function>& registry) {
-  std::vector<std::string> result;
-  for (const auto& [name, entry] : registry) {
-    result.push_back(name);
+Tensor same_shape(Tensor result, const Tensor& a, const std::string& what) {
+  if (!result.defined() || result.sizes() != a.sizes()) {
+    throw_invalid(what + " gives shape " + (result.defined() ? c10::str(result.sizes()) : "'none'") +
+                  " for an argument of shape " + c10::str(a.sizes()) + ": return one value per element");
   }
   return result;
 }
 
-template <class Function>
-std::pair<Function, TermParams> build(const Registry<Function>& registry, const std::string& kind,
-                                      const TermSpec& spec) {
-  const auto found = registry.find(spec.name);
-  if (found == registry.end()) {
-    throw_unknown(kind, spec.name, names(registry));
+ScalarTerm scalar(const registry::Registry<registry::Scalar>& entries, const std::string& kind,
+                  const std::string& argument, const TermSpec& spec) {
+  if (spec.error_function) {
+    throw_invalid(label(kind, spec) + " is a function of (prediction, target): give one of " + argument);
   }
-  TermParams params = found->second.defaults;
-  std::vector<std::string> known;
-  for (const auto& [name, value] : params) {
-    known.push_back(name);
+  if (spec.function) {
+    no_params(kind, spec);
+    auto value = [function = spec.function, what = label(kind, spec)](const Tensor& a) {
+      return same_shape(function(a), a, what);
+    };
+    return {spec.name, {}, std::move(value), {}, TermOrigin::kFunction};
   }
-  for (const auto& [name, value] : spec.params) {
-    if (params.find(name) == params.end()) {
-      if (known.empty()) {
-        throw_invalid(kind + " '" + spec.name + "' takes no parameters: remove '" + name + "'");
-      }
-      throw_unknown("parameter of " + kind + " '" + spec.name + "'", name, known);
-    }
-    if (!std::isfinite(value)) {
-      throw_invalid("parameter '" + name + "' of " + kind + " '" + spec.name + "' is not finite: give a number");
-    }
-    params[name] = value;
+  // A registered name wins over an argument's: 'a' alone is an expression, 'log' is not.
+  if (is_expression(spec.name, {argument})) {
+    const auto expression =
+        std::make_shared<Expression>(kind, spec.name, std::vector<std::string>{argument}, spec.params);
+    auto value = [expression, what = label(kind, spec)](const Tensor& a) {
+      return same_shape((*expression)({a}), a, what);
+    };
+    return {spec.name, spec.params, std::move(value), {}, TermOrigin::kExpression};
   }
-  return {found->second.make(params), params};
+  auto [made, params] = registry::build(entries, kind, spec);
+  return {spec.name, std::move(params), std::move(made.value), std::move(made.slope), TermOrigin::kRegistered};
 }
 
-ScalarTerm scalar(const Registry<ScalarFunction>& registry, const std::string& kind, const TermSpec& spec) {
-  auto [value, params] = build(registry, kind, spec);
-  return {spec.name, std::move(params), std::move(value)};
+/// An expression for f must be finite on ordinary, positive values, three channels of them.
+void probe(const ErrorTerm& term) {
+  const c10::InferenceMode normal_mode(false);
+  const torch::AutoGradMode with_grad(true);
+  const auto options = torch::TensorOptions().dtype(torch::kFloat64);
+  const auto p = torch::linspace(0.05, 0.95, 24, options).view({1, 3, 1, 8}).requires_grad_(true);
+  const auto t = torch::linspace(0.9, 0.02, 24, options).view({1, 3, 1, 8});
+  const auto value = term.value(p, t);
+  const auto finite = [&](const Tensor& x, const char* what) {
+    const auto bad = x.isfinite().logical_not().nonzero();
+    if (bad.numel() == 0) return;
+    const auto at = bad[0];
+    const auto where = [&](const Tensor& full) {
+      return full.index({0, at[1].item<std::int64_t>(), 0, at[3].item<std::int64_t>()}).item<double>();
+    };
+    throw_invalid("loss term f = '" + term.name + "' has a " + what + " that is not finite at prediction = " +
+                  c10::str(where(p)) + ", target = " + c10::str(where(t)) + ": change the expression");
+  };
+  finite(value, "value");
+  finite(torch::autograd::grad({value.sum()}, {p})[0], "gradient");
 }
 
 }  // namespace
 
 ErrorTerm make_error_term(const TermSpec& spec) {
-  auto [value, params] = build(error_terms(), "loss term f", spec);
-  return {spec.name, std::move(params), std::move(value)};
+  const std::string kind = "loss term f";
+  if (spec.function) {
+    throw_invalid(label(kind, spec) + " is a function of one argument: give one of (prediction, target)");
+  }
+  if (spec.error_function) {
+    no_params(kind, spec);
+    return {spec.name, {}, spec.error_function, TermOrigin::kFunction};
+  }
+  const std::vector<std::string> arguments = {"prediction", "target"};
+  if (is_expression(spec.name, {})) {
+    const auto expression = std::make_shared<Expression>(kind, spec.name, arguments, spec.params);
+    auto value = [expression](const Tensor& p, const Tensor& t) { return (*expression)({p, t}); };
+    ErrorTerm term{spec.name, spec.params, std::move(value), TermOrigin::kExpression};
+    probe(term);
+    return term;
+  }
+  auto [value, params] = registry::build(registry::error_terms(), kind, spec);
+  return {spec.name, std::move(params), std::move(value), TermOrigin::kRegistered};
 }
 
-ScalarTerm make_attenuation(const TermSpec& spec) { return scalar(attenuations(), "loss term h", spec); }
-ScalarTerm make_penalty(const TermSpec& spec) { return scalar(penalties(), "loss term g", spec); }
-ScalarTerm make_parametrization(const TermSpec& spec) { return scalar(parametrizations(), "parametrization", spec); }
+ScalarTerm make_attenuation(const TermSpec& spec) { return scalar(registry::attenuations(), "loss term h", "a", spec); }
+ScalarTerm make_penalty(const TermSpec& spec) { return scalar(registry::penalties(), "loss term g", "a", spec); }
+ScalarTerm make_parametrization(const TermSpec& spec) {
+  return scalar(registry::parametrizations(), "parametrization", "raw", spec);
+}
 
-std::vector<std::string> error_term_names() { return names(error_terms()); }
-std::vector<std::string> attenuation_names() { return names(attenuations()); }
-std::vector<std::string> penalty_names() { return names(penalties()); }
-std::vector<std::string> parametrization_names() { return names(parametrizations()); }
+std::vector<std::string> error_term_names() { return registry::names(registry::error_terms()); }
+std::vector<std::string> attenuation_names() { return registry::names(registry::attenuations()); }
+std::vector<std::string> penalty_names() { return registry::names(registry::penalties()); }
+std::vector<std::string> parametrization_names() { return registry::names(registry::parametrizations()); }
 
 }  // namespace ajna::loss
