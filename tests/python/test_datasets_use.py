@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -17,6 +19,7 @@ pytest.importorskip("ajna.io", reason="needs the build with vision (AJNA_WITH_VI
 from ajna.cli import main
 from ajna.data.chairs import FlyingChairs2
 from ajna.data.dataset import FlowDataset
+from ajna.data.pack import pack
 from ajna.data.registry import DATASETS, open_dataset, options_of, parse_options
 from ajna.data.things import FlyingThings3D
 from ajna.evaluation import evaluate
@@ -191,3 +194,17 @@ def test_options_come_as_text(tmp_path: Path) -> None:
         parse_options(["split=val", "split=train"])
     with pytest.raises(ValueError, match="'0000009' is not a case of .*did you mean"):
         FlyingChairs2(tmp_path, cases=["0000009"])
+
+
+def test_packs_are_read_without_vision(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on a training server whose build has no OpenCV."""
+    t = make("chairs2", tmp_path / "source")
+    pack(FlyingChairs2(tmp_path / "source"), tmp_path / "pack")
+    monkeypatch.setitem(sys.modules, "ajna.io", None)
+    monkeypatch.delattr("ajna.io")
+    for name in ("packed", "pack_format", "dataset", "frame_pair"):
+        monkeypatch.delitem(sys.modules, f"ajna.data.{name}")
+    fresh = importlib.import_module("ajna.data.packed")
+    assert fresh.FlowDataset is not FlowDataset
+    data = fresh.PackedDataset(tmp_path / "pack")
+    assert len(data) == 2 and np.array_equal(data[1].frame2, t.images["train/0000003-img_1.png"])

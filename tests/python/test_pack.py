@@ -183,9 +183,11 @@ def test_a_kill_at_any_commit_loses_at_most_one_chunk(root: Path, tmp_path: Path
         out = tmp_path / f"killed-{moment}"
         child = os.fork()
         if child == 0:
-            os.replace = kill_at([moment, 0])  # type: ignore[assignment]
-            pack(open_root(root), out, chunk_samples=3, workers=1)
-            os._exit(0)
+            try:
+                os.replace = kill_at([moment, 0])  # type: ignore[assignment]
+                pack(open_root(root), out, chunk_samples=3, workers=1)
+            finally:
+                os._exit(0)  # never back into pytest
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
         if moment < 2 * commits - 1:
             with pytest.raises((ValueError, FileNotFoundError), match="is unfinished; run the same|holds no pack"):
@@ -204,7 +206,7 @@ def test_a_killed_command_goes_on(root: Path, tmp_path: Path) -> None:
     # Reading blocks for good at the sixth sample: the kill meets the third chunk half written, at any speed.
     slow = (
         "import sys, threading, runpy\n"
-        "from ajna.data.dataset import FilesDataset\n"
+        "from ajna.data.files import FilesDataset\n"
         "read = FilesDataset.read\n"
         "FilesDataset.read = lambda self, i: threading.Event().wait() if i == 5 else read(self, i)\n"
         f"sys.argv = ['pack.py', *{arguments!r}, '--workers', '1']\n"

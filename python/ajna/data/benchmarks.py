@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ajna.data.dataset import (
+from ajna.data.files import (
     FilesDataset,
     Listing,
     Sample,

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from ajna.data.dataset import (
+from ajna.data.files import (
     FilesDataset,
     Listing,
     Sample,

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from ajna import io
-from ajna.data.dataset import FilesDataset, Listing, Sample, TruthFiles, check_choice, find_root, missing
+from ajna.data.files import FilesDataset, Listing, Sample, TruthFiles, check_choice, find_root, missing
 
 HD1K_TREE = """\
   ROOT/hd1k_input/image_2/000000_0010.png

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ajna import io
-from ajna.data.dataset import FilesDataset, Sample, TruthFiles, check_names, read_sparse_flo
+from ajna.data.dataset import check_names
+from ajna.data.files import FilesDataset, Sample, TruthFiles, read_sparse_flo
 from ajna.data.frame_pair import FramePair, resize_area
 
 __all__ = ["FramePair", "PairsDataset", "check_names", "resize_area"]

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ajna.data.dataset import (
+from ajna.data.files import (
     FilesDataset,
     Listing,
     Sample,
