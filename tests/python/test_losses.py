@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from ajna import _core
-from ajna.losses import UncertaintyLoss, term_names
+from ajna.losses import UncertaintyLoss, preset, presets, term_names
 
 NAMES = term_names()
 
@@ -38,16 +38,34 @@ def test_value_is_the_papers_equation_one() -> None:
     assert UncertaintyLoss()(prediction, raw, target).item() == pytest.approx(expected.mean().item(), rel=1e-12)
 
 
-@pytest.mark.parametrize(("f", "h", "g"), list(itertools.product(NAMES["f"], NAMES["h"], NAMES["g"])))
-@pytest.mark.parametrize("parametrization", NAMES["parametrization"])
-def test_gradcheck(f: str, h: str, g: str, parametrization: str) -> None:
+#: Every registered f, and every h and g under every raw -> a.
+CHOICES = [
+    *({"f": f, "h": "inv", "g": "log"} for f in NAMES["f"]),
+    *({"h": h, "g": "log", "parametrization": p} for h, p in itertools.product(NAMES["h"], NAMES["parametrization"])),
+    *({"h": "inv", "g": g, "parametrization": p} for g, p in itertools.product(NAMES["g"], NAMES["parametrization"])),
+]
+
+
+def assert_gradcheck(loss: UncertaintyLoss) -> None:
     prediction, raw, target = random_maps(1)
     prediction = (target + 0.5 + prediction.abs()).requires_grad_()  # away from the kink of |x|
-    raw = (0.3 + raw.abs()).requires_grad_()  # a > 0, as 1/a and log a demand
-    loss = UncertaintyLoss(f, h, g, lam=0.7, parametrization=parametrization)
+    channels = loss(prediction, raw[:, :1], target, reduction="none").shape[1]
+    raw = (0.3 + raw[:, :channels].abs()).requires_grad_()  # a > 0, as 1/a and log a demand
     mask = torch.rand(2, 1, 3, 4, generator=torch.Generator().manual_seed(2)) < 0.7
     weight = torch.rand(2, 1, 3, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
     assert torch.autograd.gradcheck(lambda p, r: loss(p, r, target, mask, weight), (prediction, raw))
+
+
+@pytest.mark.filterwarnings("ignore::ajna.losses.AdmissibilityWarning")
+@pytest.mark.parametrize("terms", CHOICES, ids=lambda terms: "-".join(terms.values()))
+def test_gradcheck(terms: dict[str, Any]) -> None:
+    assert_gradcheck(UncertaintyLoss(**terms, lam=0.7))
+
+
+@pytest.mark.filterwarnings("ignore::ajna.losses.AdmissibilityWarning")
+@pytest.mark.parametrize("name", [entry.name for entry in presets()])
+def test_gradcheck_of_presets(name: str) -> None:
+    assert_gradcheck(preset(name))
 
 
 def test_gradcheck_of_the_target() -> None:
@@ -118,7 +136,7 @@ def test_an_ordinary_module(duplicate: Any) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"f": "l2"}, "l2"),
+        ({"f": "l3"}, "l3"),
         ({"h": "inv_sofplus"}, "inv_softplus"),
         ({"g": {"name": "softplus", "params": {"eps": 1}}}, "no parameters"),
         ({"g": {"nam": "softplus"}}, "'nam'"),

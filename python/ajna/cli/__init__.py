@@ -17,6 +17,7 @@ from ajna.cli import errors
 from ajna.cli.evaluate import evaluate
 from ajna.cli.export import export
 from ajna.cli.info import info
+from ajna.cli.losses import losses
 from ajna.cli.predict import predict
 from ajna.cli.video import video
 
@@ -28,7 +29,7 @@ app = typer.Typer(
     help="Optical flow and its per-pixel uncertainty in one pass.",
     epilog="Example: ajna predict frame1.png frame2.png --out result",
 )
-for _command in (predict, video, evaluate, export, info):
+for _command in (predict, video, evaluate, export, info, losses):
     app.command()(_command)
 
 
