@@ -6,6 +6,7 @@
 #include <opencv2/imgcodecs.hpp>
 #include <string>
 
+#include "ajna/base/atomic_file.hpp"
 #include "ajna/base/error.hpp"
 #include "ajna/io/image_header.hpp"
 

@@ -7,6 +7,7 @@
 #include <opencv2/imgproc.hpp>
 #include <string>
 
+#include "ajna/base/atomic_file.hpp"
 #include "ajna/base/error.hpp"
 #include "ajna/io/image_header.hpp"
 #include "ajna/io/pnm.hpp"

@@ -9,6 +9,7 @@
 #include <sstream>
 #include <string>
 
+#include "ajna/base/atomic_file.hpp"
 #include "ajna/base/error.hpp"
 #include "ajna/io/image_header.hpp"
 

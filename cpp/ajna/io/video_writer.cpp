@@ -10,6 +10,7 @@
 #include <utility>
 #include <vector>
 
+#include "ajna/base/atomic_file.hpp"
 #include "ajna/base/error.hpp"
 #include "ajna/io/file.hpp"
 #include "ajna/io/image_header.hpp"
