@@ -72,7 +72,7 @@ def test_cpp_blocks(folder: Path) -> None:
     run("cmake", "-S", ".", "-B", "build", "-G", "Ninja", f"-DCMAKE_PREFIX_PATH={folder / 'prefix'}",
         f"-DPython_EXECUTABLE={sys.executable}")  # fmt: skip
     run("cmake", "--build", "build")
-    printed = run(folder / "build" / "quickstart", ajna.load().info["path"], "frame1.png", "frame2.png")
+    printed = run(folder / "build" / "quickstart", ajna.load().info.path, "frame1.png", "frame2.png")
     assert re.fullmatch(r"flow \d+\.\d\d px, expected error \d+\.\d\d px\n", printed)
 
 
