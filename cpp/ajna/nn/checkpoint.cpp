@@ -82,7 +82,7 @@ void check_finite(const torch::Tensor& tensor, const std::string& name) {
 }
 
 /// Move tensors[name] into `target`, strictly.
-void fill(torch::Tensor target, const std::string& name, std::map<std::string, torch::Tensor>& tensors) {
+void fill(const torch::Tensor& target, const std::string& name, std::map<std::string, torch::Tensor>& tensors) {
   const auto found = tensors.find(name);
   if (found == tensors.end()) {
     throw_invalid("tensor '" + name + "' is missing");
