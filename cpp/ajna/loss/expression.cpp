@@ -173,18 +173,18 @@ class Parser {
         break;
       }
     }
-    const auto value = power();
+    auto value = power();
     if (!negative) return value;
     return value.number ? literal(-value.value) : Piece{"(-" + value.text + ")"};
   }
 
   Piece power() {
-    const auto base = atom();
+    auto base = atom();
     if (!accept("**")) return base;
     if (++depth_ > 100) {
       fail("more than 100 nested powers");
     }
-    const auto result = combine(base, "**", signed_factor());
+    auto result = combine(base, "**", signed_factor());
     --depth_;
     return result;
   }
@@ -194,7 +194,7 @@ class Parser {
       fail("the expression ends too early");
     }
     if (accept("(")) {
-      const auto inside = sum();
+      auto inside = sum();
       expect(")");
       return inside;
     }

@@ -107,7 +107,7 @@ std::string Likelihood::name() const {
 bool Likelihood::is_normalised() const { return factor_ == 1.0; }
 
 Tensor Likelihood::scale(const Tensor& raw) const {
-  const auto h = loss_.attenuation(raw);
+  auto h = loss_.attenuation(raw);
   switch (family_) {
     case Family::kLaplace:
       return factor_ / h;

@@ -54,8 +54,8 @@ Tensor draw_magnitude(const SceneConfig& c, torch::IntArrayRef shape, Random& ra
 Tensor compose(const LayerPlacement& place, const Tensor& tx, const Tensor& ty, const Tensor& angle,
                const Tensor& scale, const Tensor& px, const Tensor& py) {
   const auto zero = torch::zeros_like(tx), one = torch::ones_like(tx);
-  const auto matrix = [](std::vector<Tensor> v) {
-    return torch::stack(std::move(v), -1).view({-1, 3, 3}).to(torch::kFloat64);
+  const auto matrix = [](const std::vector<Tensor>& v) {
+    return torch::stack(v, -1).view({-1, 3, 3}).to(torch::kFloat64);
   };
   const auto to_center = matrix({one, zero, -place.center_x, zero, one, -place.center_y, zero, zero, one});
   const auto back = matrix({one, zero, place.center_x + tx, zero, one, place.center_y + ty, zero, zero, one});
@@ -68,7 +68,7 @@ Tensor compose(const LayerPlacement& place, const Tensor& tx, const Tensor& ty, 
 }  // namespace
 
 Points LayerMotion::to_frame1(const Points& y) const {
-  const Points q = apply_homography(backward, y, projective);
+  Points q = apply_homography(backward, y, projective);
   if (!nonrigid) {
     return q;
   }
