@@ -44,7 +44,7 @@ def card(name: str, digest: str, metadata: dict[str, Any], net: Any, config: str
         "",
         "## Scores",
         "",
-        "Real pairs at 320x240, never trained or selected on; conventions as `ajna evaluate` prints them.",
+        "Real pairs at 320x240, none of them trained on; conventions as `ajna evaluate` prints them.",
         "",
         "| method | EPE px | EPE / zero flow | AUSE | Spearman rho | occlusion AUC |",
         "|---|---|---|---|---|---|",
