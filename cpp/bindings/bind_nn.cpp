@@ -35,6 +35,8 @@ void bind_flow_net(py::module_& m) {
            "[N, in_channels, H, W] float in [-1, 1] -> [N, out_channels, H, W]; any H and W.")
       .def("forward_aligned", &FlowNetImpl::forward_aligned, "x"_a, py::call_guard<py::gil_scoped_release>(),
            "As forward, without padding: both sides are multiples of config.stride.")
+      .def("forward_scales", &FlowNetImpl::forward_scales, "x"_a, py::call_guard<py::gil_scoped_release>(),
+           "The predictions from coarse to fine, the last at full size; sides are multiples of config.stride.")
       .def("forward_layers", &FlowNetImpl::forward_layers, "x"_a, py::call_guard<py::gil_scoped_release>(),
            "What each layer gives, first to last; both sides are multiples of config.stride.")
       .def(
@@ -94,6 +96,9 @@ void bind_nn(py::module_& m) {
       .def_readwrite("width", &NetConfig::width)
       .def_readwrite("expansion", &NetConfig::expansion)
       .def_readwrite("sub_blocks", &NetConfig::sub_blocks)
+      .def_readwrite("skip_connections", &NetConfig::skip_connections)
+      .def_readwrite("scale_heads", &NetConfig::scale_heads)
+      .def_readwrite("correlation_radius", &NetConfig::correlation_radius)
       .def_property_readonly("stride", &NetConfig::stride)
       .def(py::self == py::self);
 

@@ -23,6 +23,7 @@ NetConfig = _core.NetConfig
 
 _DEFAULTS = NetConfig()
 _CONFIG_FIELDS = ("width", "expansion", "sub_blocks", "in_channels", "out_channels")
+_EXTRA_FIELDS = ("skip_connections", "scale_heads", "correlation_radius")  # 0 in the paper's network
 
 
 class _Part(nn.Module):
@@ -89,6 +90,11 @@ class FlowNet(_Part):
         sub_blocks: residual block and down-sampling pairs after the stem, 0 to 4.
         in_channels: channels of the input.
         out_channels: channels of the output.
+        skip_connections: add the encoder's outputs to the decoder's of equal size (not in the paper's network).
+        scale_heads: predict at 1/4 and 1/2 of the size, too, each correcting the one before (see
+            :meth:`forward_scales`).
+        correlation_radius: compare both frames' features at 1/8 of the size over displacements up to this many cells;
+            0 to 8, 0 leaves it out.
 
     Raises:
         ValueError: where an option is out of range, or at call time for an input of another shape or dtype.
@@ -101,10 +107,15 @@ class FlowNet(_Part):
         sub_blocks: int = _DEFAULTS.sub_blocks,
         in_channels: int = _DEFAULTS.in_channels,
         out_channels: int = _DEFAULTS.out_channels,
+        skip_connections: bool = bool(_DEFAULTS.skip_connections),
+        scale_heads: bool = bool(_DEFAULTS.scale_heads),
+        correlation_radius: int = _DEFAULTS.correlation_radius,
     ) -> None:
         config = NetConfig()
         config.width, config.expansion, config.sub_blocks = width, expansion, sub_blocks
         config.in_channels, config.out_channels = in_channels, out_channels
+        config.skip_connections, config.scale_heads = int(skip_connections), int(scale_heads)
+        config.correlation_radius = correlation_radius
         self._attach(_core.FlowNetCore(config))
 
     @classmethod
@@ -148,6 +159,14 @@ class FlowNet(_Part):
         self._check_bound()
         return self._core.forward(x)
 
+    def forward_scales(self, x: Tensor) -> list[Tensor]:
+        """The predictions from coarse to fine, the last at full size, all in the unit of the last; for a loss on each.
+
+        Three with ``config.scale_heads``, else one. Both sides of ``x`` must be multiples of ``config.stride``.
+        """
+        self._check_bound()
+        return self._core.forward_scales(x)
+
     def forward_layers(self, x: Tensor) -> list[Tensor]:
         """What each layer gives for ``x``, first to last (the output); for auxiliary losses and for looking inside.
 
@@ -165,7 +184,9 @@ class FlowNet(_Part):
                 )
 
     def extra_repr(self) -> str:
-        return ", ".join(f"{field}={getattr(self.config, field)}" for field in _CONFIG_FIELDS)
+        config = self.config
+        extras = [field for field in _EXTRA_FIELDS if getattr(config, field)]
+        return ", ".join(f"{field}={getattr(config, field)}" for field in (*_CONFIG_FIELDS, *extras))
 
     def __repr__(self) -> str:
         return f"FlowNet({self.extra_repr()})"
@@ -192,7 +213,8 @@ class FlowNet(_Part):
             part.training = state["training"][name]
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), tuple(getattr(self.config, field) for field in _CONFIG_FIELDS), self.__getstate__()
+        fields = (*_CONFIG_FIELDS, *_EXTRA_FIELDS)
+        return type(self), tuple(getattr(self.config, field) for field in fields), self.__getstate__()
 
     def __deepcopy__(self, memo: dict[int, Any]) -> FlowNet:
         constructor, arguments, state = self.__reduce__()

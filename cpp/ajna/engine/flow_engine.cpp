@@ -193,7 +193,10 @@ FlowEngine FlowEngine::load(const std::string& path, const EngineOptions& option
                  {"out_channels", metadata.net.out_channels},
                  {"width", metadata.net.width},
                  {"expansion", metadata.net.expansion},
-                 {"sub_blocks", metadata.net.sub_blocks}},
+                 {"sub_blocks", metadata.net.sub_blocks},
+                 {"skip_connections", metadata.net.skip_connections},
+                 {"scale_heads", metadata.net.scale_heads},
+                 {"correlation_radius", metadata.net.correlation_radius}},
                 metadata.provenance};
   // Last, so that a failed load leaves the process as it was.
   if (options.threads > 0) {

@@ -30,7 +30,7 @@ struct ModelInfo {
   double flow_scale = 1.0;                        ///< network output x flow_scale = pixels
   std::int64_t parameters = 0;                    ///< learnable numbers
   std::int64_t stride = 1;                        ///< sides are padded to a multiple of this
-  std::map<std::string, std::int64_t> network;    ///< in_channels, out_channels, width, expansion, sub_blocks
+  std::map<std::string, std::int64_t> network;    ///< the options of nn::NetConfig by name
   std::map<std::string, std::string> provenance;  ///< data, steps, date ...: free text
 };
 

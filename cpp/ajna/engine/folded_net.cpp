@@ -16,9 +16,10 @@ Tensor per_output_channel(const Tensor& factor, bool transposed) {
 
 }  // namespace
 
-FoldedNet::Layer FoldedNet::fold(const torch::nn::Module& owner, const std::string& conv, const std::string& norm) {
+FoldedNet::Convolution FoldedNet::fold(const torch::nn::Module& owner, const std::string& conv,
+                                       const std::string& norm) {
   const auto children = owner.named_children();
-  Layer layer;
+  Convolution layer;
   if (const auto* plain = children[conv]->as<torch::nn::Conv2dImpl>()) {
     layer.weight = plain->weight;
     layer.bias = plain->bias;
@@ -45,54 +46,59 @@ FoldedNet::Layer FoldedNet::fold(const torch::nn::Module& owner, const std::stri
 }
 
 FoldedNet::FoldedNet(const nn::FlowNetImpl& net, torch::Device device, torch::ScalarType precision)
-    : stride_(net.config().stride()), precision_(precision) {
+    : config_(net.config()), precision_(precision) {
   const torch::NoGradGuard no_grad;
-  for (const auto& part : net.children()) {  // encoder, decoder
-    for (const auto& block : part->children()) {
-      if (block->as<nn::ConvUnitImpl>() != nullptr) {
-        layers_.push_back(fold(*block, "conv", "norm"));
-        continue;
-      }
-      layers_.push_back(fold(*block, "conv1", "norm1"));
-      layers_.back().opens_block = true;
-      layers_.push_back(fold(*block, "conv2", "norm2"));
-      layers_.back().closes_block = true;
+  const auto children = net.named_children();
+  for (std::size_t part = 0; part < parts_.size(); ++part) {
+    const auto* list = children.find(nn::part_name(static_cast<nn::Part>(part)));
+    if (list == nullptr) {
+      continue;
     }
-  }
-  for (auto& layer : layers_) {
-    layer.weight = layer.weight.to(device, precision).contiguous(torch::MemoryFormat::ChannelsLast);
-    layer.bias = layer.bias.to(device, precision).contiguous();
+    for (const auto& layer : (*list)->children()) {
+      if (layer->as<nn::ConvUnitImpl>() != nullptr) {
+        parts_[part].push_back({fold(*layer, "conv", "norm")});
+      } else {
+        parts_[part].push_back({fold(*layer, "conv1", "norm1"), fold(*layer, "conv2", "norm2")});
+      }
+      for (auto& convolution : parts_[part].back()) {
+        convolution.weight = convolution.weight.to(device, precision).contiguous(torch::MemoryFormat::ChannelsLast);
+        convolution.bias = convolution.bias.to(device, precision).contiguous();
+      }
+    }
   }
 }
 
-Tensor FoldedNet::run(Tensor x) const {
-  Tensor kept;
-  for (const auto& layer : layers_) {
-    if (layer.opens_block) {
-      kept = x;
+Tensor FoldedNet::Convolution::run(const Tensor& x) const {
+  return transposed ? torch::conv_transpose2d(x, weight, bias, stride, padding, output_padding)
+                    : torch::conv2d(x, weight, bias, stride, padding);
+}
+
+Tensor FoldedNet::run(const Block& block, const Tensor& x) {
+  auto y = x;
+  for (std::size_t i = 0; i < block.size(); ++i) {
+    y = block[i].run(y);
+    if (i == 1) {  // the end of a residual block
+      y.add_(x);
     }
-    x = layer.transposed
-            ? torch::conv_transpose2d(x, layer.weight, layer.bias, layer.stride, layer.padding, layer.output_padding)
-            : torch::conv2d(x, layer.weight, layer.bias, layer.stride, layer.padding);
-    if (layer.closes_block) {
-      x.add_(kept);
-    }
-    if (layer.relu) {
-      x.relu_();
+    if (block[i].relu) {
+      y.relu_();
     }
   }
-  return x;
+  return y;
 }
 
 Tensor FoldedNet::forward(const Tensor& x) const {
-  const std::int64_t height = x.size(2), width = x.size(3);
-  const std::int64_t pad_y = (stride_ - height % stride_) % stride_, pad_x = (stride_ - width % stride_) % stride_;
+  const std::int64_t height = x.size(2), width = x.size(3), stride = config_.stride();
+  const std::int64_t pad_y = (stride - height % stride) % stride, pad_x = (stride - width % stride) % stride;
   auto input = x;
   if (pad_y > 0 || pad_x > 0) {
     input = F::pad(input, F::PadFuncOptions({0, pad_x, 0, pad_y}).mode(torch::kReplicate));
   }
   input = input.to(precision_).contiguous(torch::MemoryFormat::ChannelsLast);
-  return run(std::move(input)).slice(2, 0, height).slice(3, 0, width).to(torch::kFloat32);
+  const auto layer = [this](nn::Part part, std::size_t index, const Tensor& y) {
+    return run(parts_[static_cast<std::size_t>(part)][index], y);
+  };
+  return nn::run_graph(config_, input, layer).back().slice(2, 0, height).slice(3, 0, width).to(torch::kFloat32);
 }
 
 }  // namespace ajna::engine

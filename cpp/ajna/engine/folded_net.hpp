@@ -3,14 +3,17 @@
 
 #include <torch/torch.h>
 
+#include <array>
+#include <string>
 #include <vector>
 
+#include "ajna/nn/flow_graph.hpp"
 #include "ajna/nn/flow_net.hpp"
 
 namespace ajna::engine {
 
-/// The network as inference wants it: a copy as a flat list of convolutions with each batch normalization folded into
-/// the convolution before it (in float64), channels-last, in one precision on one device.
+/// The network as inference wants it: a copy as convolutions with each batch normalization folded into the convolution
+/// before it (in float64), channels-last, in one precision on one device; wired by nn::run_graph, as the network is.
 class FoldedNet {
  public:
   /// `net`'s running statistics are used, as in eval mode; `net` is not changed.
@@ -20,20 +23,21 @@ class FoldedNet {
   [[nodiscard]] torch::Tensor forward(const torch::Tensor& x) const;
 
  private:
-  struct Layer {
+  struct Convolution {
     torch::Tensor weight, bias;
     std::int64_t stride = 1, padding = 0, output_padding = 0;
     bool transposed = false;
     bool relu = false;
-    bool opens_block = false;   // the input is kept for the sum at the end of the residual block
-    bool closes_block = false;  // the kept input is added before the ReLU
+    [[nodiscard]] torch::Tensor run(const torch::Tensor& x) const;
   };
+  /// A convolution unit, or a residual block where there are two.
+  using Block = std::vector<Convolution>;
 
-  static Layer fold(const torch::nn::Module& owner, const std::string& conv, const std::string& norm);
-  [[nodiscard]] torch::Tensor run(torch::Tensor x) const;
+  static Convolution fold(const torch::nn::Module& owner, const std::string& conv, const std::string& norm);
+  static torch::Tensor run(const Block& block, const torch::Tensor& x);
 
-  std::vector<Layer> layers_;
-  std::int64_t stride_;
+  std::array<std::vector<Block>, 4> parts_;  // by nn::Part
+  nn::NetConfig config_;
   torch::ScalarType precision_;
 };
 

@@ -29,6 +29,11 @@ constexpr std::array<std::pair<const char*, std::int64_t NetConfig::*>, 5> kNetO
      {"net.width", &NetConfig::width},
      {"net.expansion", &NetConfig::expansion},
      {"net.sub_blocks", &NetConfig::sub_blocks}}};
+/// Written only where they are not 0, so that files of the plain network stay as they were.
+constexpr std::array<std::pair<const char*, std::int64_t NetConfig::*>, 3> kNetExtras{
+    {{"net.skip_connections", &NetConfig::skip_connections},
+     {"net.scale_heads", &NetConfig::scale_heads},
+     {"net.correlation_radius", &NetConfig::correlation_radius}}};
 
 std::string number_text(double value) {
   std::array<char, 32> text{};
@@ -148,6 +153,11 @@ std::map<std::string, std::string> metadata_to_strings(const Metadata& metadata)
   for (const auto& [key, option] : kNetOptions) {
     strings[key] = std::to_string(metadata.net.*option);
   }
+  for (const auto& [key, option] : kNetExtras) {
+    if (metadata.net.*option != 0) {
+      strings[key] = std::to_string(metadata.net.*option);
+    }
+  }
   for (const auto& [key, value] : metadata.provenance) {
     strings[kProvenance + key] = value;
   }
@@ -172,6 +182,11 @@ Metadata metadata_from_strings(const std::map<std::string, std::string>& strings
   metadata.table.raw_step = take_number<double>(rest, "table.raw_step");
   for (const auto& [key, option] : kNetOptions) {
     metadata.net.*option = take_number<std::int64_t>(rest, key);
+  }
+  for (const auto& [key, option] : kNetExtras) {
+    if (rest.count(key) != 0) {
+      metadata.net.*option = take_number<std::int64_t>(rest, key);
+    }
   }
   const std::string prefix = kProvenance;
   for (auto& [key, value] : rest) {

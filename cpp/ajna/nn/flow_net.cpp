@@ -1,62 +1,20 @@
 // SPDX-License-Identifier: MIT
 #include "ajna/nn/flow_net.hpp"
 
+#include <array>
 #include <string>
 #include <vector>
 
 #include "ajna/base/error.hpp"
+#include "ajna/nn/flow_graph.hpp"
 
 namespace ajna::nn {
 namespace {
 
 namespace F = torch::nn::functional;
 
-/// One row of the network's table: a convolution unit, or a residual block where kernel is 0.
-struct Layer {
-  std::int64_t in_channels, out_channels, kernel, stride;
-  bool transposed, activated;
-  [[nodiscard]] bool is_residual() const { return kernel == 0; }
-};
-
-struct LayerTable {
-  std::vector<Layer> encoder, decoder;
-};
-
-/// The table of layers (rows 1 to 13 for the paper's options).
-LayerTable layer_table(const NetConfig& c) {
-  LayerTable table;
-  std::int64_t channels = c.width;
-  table.encoder.push_back({c.in_channels, channels, 7, 2, false, true});
-  table.encoder.push_back({channels, channels * c.expansion, 5, 2, false, true});
-  channels *= c.expansion;
-  for (std::int64_t i = 0; i < c.sub_blocks; ++i) {
-    table.encoder.push_back({channels, channels, 0, 1, false, true});
-    table.encoder.push_back({channels, channels * c.expansion, 3, 2, false, false});
-    channels *= c.expansion;
-  }
-  for (std::int64_t i = 0; i < c.sub_blocks; ++i) {
-    table.decoder.push_back({channels, channels, 0, 1, true, true});
-    table.decoder.push_back({channels, channels / c.expansion, 3, 2, true, false});
-    channels /= c.expansion;
-  }
-  table.decoder.push_back({channels, c.width, 5, 2, true, true});
-  table.decoder.push_back({c.width, c.width / 2, 7, 2, true, true});
-  table.decoder.push_back({c.width / 2, c.out_channels, 7, 1, true, false});
-  return table;
-}
-
-void check_config(const NetConfig& c) {
-  const auto require = [](bool ok, const char* name, std::int64_t value, const char* remedy) {
-    if (!ok) {
-      throw_invalid(std::string("network option ") + name + " = " + std::to_string(value) + ": " + remedy);
-    }
-  };
-  require(c.in_channels >= 1, "in_channels", c.in_channels, "give at least 1");
-  require(c.out_channels >= 1, "out_channels", c.out_channels, "give at least 1");
-  require(c.width >= 2 && c.width % 2 == 0 && c.width <= 1024, "width", c.width, "give an even number from 2 to 1024");
-  require(c.expansion >= 1 && c.expansion <= 4, "expansion", c.expansion, "give 1 to 4");
-  require(c.sub_blocks >= 0 && c.sub_blocks <= 4, "sub_blocks", c.sub_blocks, "give 0 to 4");
-}
+/// In the order of their values.
+constexpr std::array<Part, 4> kParts{Part::kEncoder, Part::kDecoder, Part::kHeads, Part::kMatching};
 
 void append_layers(torch::nn::ModuleList& list, const std::vector<Layer>& layers) {
   for (const auto& layer : layers) {
@@ -124,12 +82,15 @@ torch::Tensor ConvUnitImpl::forward(const torch::Tensor& x) {
 }
 
 FlowNetImpl::FlowNetImpl(const NetConfig& config) : config_(config) {
-  check_config(config);
   const LayerTable table = layer_table(config);
-  encoder_ = register_module("encoder", torch::nn::ModuleList());
-  decoder_ = register_module("decoder", torch::nn::ModuleList());
-  append_layers(encoder_, table.encoder);
-  append_layers(decoder_, table.decoder);
+  for (const auto part : kParts) {
+    const auto& layers = table.part(part);
+    auto& list = parts_.emplace_back(torch::nn::ModuleList());
+    if (!layers.empty()) {
+      register_module(part_name(part), list);
+      append_layers(list, layers);
+    }
+  }
 }
 
 torch::Tensor FlowNetImpl::forward(const torch::Tensor& x) {
@@ -146,23 +107,20 @@ torch::Tensor FlowNetImpl::forward(const torch::Tensor& x) {
   return forward_aligned(padded).slice(2, 0, height).slice(3, 0, width);
 }
 
-torch::Tensor FlowNetImpl::forward_aligned(torch::Tensor x) {
-  for (const auto& part : {encoder_, decoder_}) {
-    for (const auto& layer : *part) {
-      x = run_layer(*layer, x);
-    }
-  }
-  return x;
+std::vector<torch::Tensor> FlowNetImpl::run(const torch::Tensor& x, std::vector<torch::Tensor>* activations) {
+  const auto layer = [this](Part part, std::size_t index, const torch::Tensor& input) {
+    return run_layer(*parts_[static_cast<std::size_t>(part)]->ptr(index), input);
+  };
+  return run_graph(config_, x, layer, activations);
 }
 
-std::vector<torch::Tensor> FlowNetImpl::forward_layers(torch::Tensor x) {
+torch::Tensor FlowNetImpl::forward_aligned(const torch::Tensor& x) { return run(x, nullptr).back(); }
+
+std::vector<torch::Tensor> FlowNetImpl::forward_scales(const torch::Tensor& x) { return run(x, nullptr); }
+
+std::vector<torch::Tensor> FlowNetImpl::forward_layers(const torch::Tensor& x) {
   std::vector<torch::Tensor> activations;
-  for (const auto& part : {encoder_, decoder_}) {
-    for (const auto& layer : *part) {
-      x = run_layer(*layer, x);
-      activations.push_back(x);
-    }
-  }
+  run(x, &activations);
   return activations;
 }
 
@@ -175,11 +133,10 @@ std::int64_t count_parameters(const torch::nn::Module& module) {
 }
 
 std::int64_t count_parameters(const NetConfig& config) {
-  check_config(config);
   const LayerTable table = layer_table(config);
   std::int64_t count = 0;
-  for (const auto* layers : {&table.encoder, &table.decoder}) {
-    for (const auto& layer : *layers) {
+  for (const auto part : kParts) {
+    for (const auto& layer : table.part(part)) {
       const std::int64_t c = layer.out_channels;
       count += layer.is_residual()
                    ? 2 * (9 * c * c + 3 * c)
@@ -190,34 +147,49 @@ std::int64_t count_parameters(const NetConfig& config) {
 }
 
 std::int64_t count_macs(const NetConfig& config, std::int64_t height, std::int64_t width) {
-  check_config(config);
+  const LayerTable table = layer_table(config);
   const std::int64_t stride = config.stride();
   height = (height + stride - 1) / stride * stride;
   width = (width + stride - 1) / stride * stride;
+  const std::int64_t full_area = height * width;
+  std::int64_t area = full_area;
   std::int64_t macs = 0;
-  const LayerTable table = layer_table(config);
+  // A strided convolution costs per output pixel, a transposed one per input pixel.
   const auto add = [&](const Layer& layer) {
     if (layer.is_residual()) {
-      macs += 2 * 9 * layer.in_channels * layer.in_channels * height * width;
+      macs += 2 * 9 * layer.in_channels * layer.in_channels * area;
       return;
     }
     const std::int64_t weights = layer.kernel * layer.kernel * layer.in_channels * layer.out_channels;
-    // A strided convolution costs per output pixel, a transposed one per input pixel.
+    const std::int64_t factor = layer.stride * layer.stride;
     if (!layer.transposed) {
-      height /= layer.stride;
-      width /= layer.stride;
+      area /= factor;
     }
-    macs += weights * height * width;
+    macs += weights * area;
     if (layer.transposed) {
-      height *= layer.stride;
-      width *= layer.stride;
+      area *= factor;
     }
   };
-  for (const auto& layer : table.encoder) {
-    add(layer);
+  for (const auto part : {Part::kEncoder, Part::kDecoder}) {
+    for (const auto& layer : table.part(part)) {
+      add(layer);
+    }
   }
-  for (const auto& layer : table.decoder) {
-    add(layer);
+  for (std::size_t i = 0; i < table.heads.size(); ++i) {
+    area = full_area / (i == 0 ? 16 : 4);
+    add(table.heads[i]);
+  }
+  if (!table.matching.empty()) {
+    const auto& frame_layers = table.matching;
+    for (int frame = 0; frame < 2; ++frame) {
+      area = full_area;
+      for (std::size_t i = 0; i + 1 < frame_layers.size(); ++i) {
+        add(frame_layers[i]);
+      }
+    }
+    const auto& joining = frame_layers.back();
+    macs += joining.in_channels * frame_layers[frame_layers.size() - 2].out_channels * area;  // the scalar products
+    add(joining);
   }
   return macs;
 }

@@ -43,7 +43,7 @@ class ConvUnitImpl : public torch::nn::Module {
 };
 TORCH_MODULE(ConvUnit);
 
-/// The paper's residual encoder-decoder (EVPropNet with four output channels).
+/// The paper's residual encoder-decoder (EVPropNet with four output channels), and its variants by NetConfig.
 ///
 /// Input [N, in_channels, H, W] float in [-1, 1] (frame 1 RGB, frame 2 RGB), any H and W >= 1.
 /// Output [N, out_channels, H, W]: u, v in training units (pixels / flow_scale), then the raw uncertainty of u and v.
@@ -56,17 +56,23 @@ class FlowNetImpl : public torch::nn::Module {
   /// is not [N, in_channels, H, W] floating point.
   torch::Tensor forward(const torch::Tensor& x);
   /// The bare network; both sides must be multiples of config().stride(). This is what is traced for TorchScript.
-  torch::Tensor forward_aligned(torch::Tensor x);
+  torch::Tensor forward_aligned(const torch::Tensor& x);
+
+  /// The predictions from coarse to fine, the last at full size, for a loss on each: three with config().scale_heads
+  /// (at 1/4, 1/2 and the whole size, all in the unit of the last), else one. Sides as for forward_aligned.
+  std::vector<torch::Tensor> forward_scales(const torch::Tensor& x);
 
   /// Output and inner activations, for training with auxiliary losses: what each layer gives, from the first
   /// convolution to the last, so that back() is the output. Both sides must be multiples of config().stride().
-  std::vector<torch::Tensor> forward_layers(torch::Tensor x);
+  std::vector<torch::Tensor> forward_layers(const torch::Tensor& x);
 
   [[nodiscard]] const NetConfig& config() const noexcept { return config_; }
 
  private:
+  std::vector<torch::Tensor> run(const torch::Tensor& x, std::vector<torch::Tensor>* activations);
+
   NetConfig config_;
-  torch::nn::ModuleList encoder_, decoder_;
+  std::vector<torch::nn::ModuleList> parts_;  // by Part; only those with layers are registered
 };
 TORCH_MODULE(FlowNet);
 

@@ -25,9 +25,12 @@ class NetOptions:
     width: int = _NET.width
     expansion: int = _NET.expansion
     sub_blocks: int = _NET.sub_blocks
+    skip_connections: bool = bool(_NET.skip_connections)
+    scale_heads: bool = bool(_NET.scale_heads)
+    correlation_radius: int = _NET.correlation_radius
 
     def build(self) -> FlowNet:
-        return FlowNet(width=self.width, expansion=self.expansion, sub_blocks=self.sub_blocks)
+        return FlowNet(**vars(self))
 
 
 @dataclass
