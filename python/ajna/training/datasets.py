@@ -216,7 +216,7 @@ def _check_apart(training: FlowDataset, validation: FlowDataset) -> None:
     """Raise ValueError if a frame that is validated is trained on, too."""
 
     def frames(dataset: FlowDataset) -> dict[Path, str]:
-        return {dataset.files(index)[0]: dataset.names[index] for index in range(len(dataset))}
+        return {dataset.files(index)[0]: dataset.names[index] for index in reversed(range(len(dataset)))}
 
     trained = frames(training)
     for path, name in frames(validation).items():
