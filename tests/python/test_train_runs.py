@@ -7,6 +7,7 @@ import csv
 import importlib.util
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -170,7 +171,23 @@ def test_epochs_are_counted_and_validated(straight: Path) -> None:
     assert [float(row["epoch"]) for row in rows if row["val/epe"]] == [1, 2, 3]
     assert {row["train/lr"] for row in rows} - {""} and all(row["val/expected_ratio"] for row in rows if row["val/epe"])
     assert sorted(p.name for p in (straight / "pictures").iterdir()) == [f"step-000000{n}.png" for n in (3, 6, 9)]
+    events = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    board = events.EventAccumulator(str(straight / "tensorboard")).Reload()
+    assert [event.step for event in board.Images("val/pairs")] == [3, 6, 9] and "train/loss" in board.Tags()["scalars"]
     assert state_of(straight)["ajna"]["steps_done"] == 9 and state_of(straight)["ajna"]["samples_done"] == 36
+
+
+def test_the_bar_goes_on_where_the_run_was(
+    arguments: list[str], straight: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    shutil.copytree(straight, tmp_path / "tiny")
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    mine = [*arguments, "--runs", str(tmp_path), "--resume", "true", "--trainer.max_epochs", "7"]
+    assert fit([*mine, "--trainer.enable_progress_bar", "true"]) == 0
+    shown = capsys.readouterr().out
+    last = re.findall(r"training: +(\d+)%.*?(\d+)/(\d+) \[\d+:\d+<(\d+:\d+),(.*?)\]", shown)
+    assert [line[:3] for line in last][-1] == ("95", "20", "21") or last[-1][:3] == ("100", "21", "21")
+    assert "train/samples_per_s=" in shown and int(last[0][1]) > 9, "begins behind the steps done before"
 
 
 # Killed after a step in the middle of the second epoch; while last.ckpt is half written.
@@ -190,7 +207,7 @@ def test_a_killed_and_resumed_run_equals_a_straight_one_bit_for_bit(
         "from ajna.training import cli\n"
         f"{KILLS[moment]}\n"
         "before, calls = getattr(kind, hook), []\n"
-        "def killing(self, *args):\n"
+        "def killing(self, *args, **options):\n"
         "    calls.append(1)\n"
         "    if len(calls) == at and hook == 'save_checkpoint':\n"
         "        def half(checkpoint, path):\n"
@@ -199,7 +216,7 @@ def test_a_killed_and_resumed_run_equals_a_straight_one_bit_for_bit(
         "        torch.save = half\n"
         "    elif len(calls) == at:\n"
         "        os.kill(os.getpid(), signal.SIGKILL)\n"
-        "    return before(self, *args)\n"
+        "    return before(self, *args, **options)\n"
         "setattr(kind, hook, killing)\n"
         "cli.main(sys.argv[1:])\n"
     )

@@ -63,6 +63,7 @@ class TrainCLI(LightningCLI):
         parser.add_argument("--resume", type=bool, default=False, help="go on from runs/<name>/checkpoints/last.ckpt")
         parser.add_argument("--save_every", type=int, default=1000, help="steps between two last.ckpt")
         parser.add_argument("--pictures", type=int, default=4, help="validation pairs drawn after each validation")
+        parser.add_argument("--repeats", type=int, default=10, help="throughput only: batches measured per figure")
         parser.add_argument("--threads", type=int | None, default=None, help="CPU threads of the network")
 
     @property
@@ -170,5 +171,5 @@ def _throughput(args: Sequence[str]) -> None:
     precision = cli.config["trainer"].get("precision") or "32-true"
     data: Any = cli.datamodule
     print(f"{'stage':<52}{data.source:>10}{'step':>10}{'both':>10}   samples/s, {torch.get_num_threads()} threads")
-    for row in throughput(cli.model, data, str(precision)):
+    for row in throughput(cli.model, data, str(precision), cli.config["repeats"]):
         print(f"{row['stage']:<52}{row['samples']:>10.1f}{row['step']:>10.1f}{row['both']:>10.1f}")

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import lightning.pytorch as pl
@@ -215,11 +214,9 @@ def _augmenter(options: dict[str, Any]) -> Any:
 def _check_apart(training: FlowDataset, validation: FlowDataset) -> None:
     """Raise ValueError if a frame that is validated is trained on, too."""
 
-    def frames(dataset: FlowDataset) -> dict[Path, str]:
-        return {dataset.files(index)[0]: dataset.names[index] for index in reversed(range(len(dataset)))}
-
-    trained = frames(training)
-    for path, name in frames(validation).items():
+    trained = {training.files(index)[0] for index in range(len(training))}
+    for index, name in enumerate(validation.names):
+        path = validation.files(index)[0]
         if path in trained:
             raise ValueError(
                 f"validation pair '{name}' is a training pair, too ('{path}'): give another data.val_root or "

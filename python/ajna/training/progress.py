@@ -18,6 +18,9 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from ajna import viz
 from ajna.training.run_files import atomic_path
 
+#: what a validation picture shows of a pair, from left to right
+PICTURE_COLUMNS = ("frame 1", "frame 2", "true flow", "flow", "expected error", "true error")
+
 
 class Throughput(pl.Callback):
     """Logs train/samples_per_s, validation not counted; without a terminal it prints a line every ``every`` steps."""
@@ -124,7 +127,7 @@ class Pictures(pl.Callback):
 
     @torch.no_grad()
     def draw(self, module: Any, batch: dict[str, Any]) -> np.ndarray[Any, Any]:
-        """One row per pair: frame 1, frame 2, true flow, flow, expected error, true error; uint8 [H', W', 3]."""
+        """One row per pair, its columns as PICTURE_COLUMNS says; uint8 [H', W', 3]."""
         first = {name: batch[name][: self.count].to(module.device) for name in ("frame1", "frame2", "flow")}
         known = batch["valid"][: self.count, 0].cpu().numpy() if "valid" in batch else itertools.repeat(True)
         output = module(first["frame1"], first["frame2"]).float()

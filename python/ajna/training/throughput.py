@@ -32,6 +32,8 @@ def throughput(
     device = module.device
     if precision not in ("32-true", "bf16-mixed"):
         raise ValueError(f"precision '{precision}' cannot be measured here: give 32-true or bf16-mixed")
+    if repeats < 1:
+        raise ValueError(f"training option repeats = {repeats}: give at least 1")
     module.train()
     optimizer = module.configure_optimizers()
 
