@@ -218,7 +218,7 @@ def test_the_augmentation_gets_what_it_needs(root: Path, monkeypatch: pytest.Mon
     data = DatasetData("chairs2", str(root), options={"backward": True}, **options)
     batches = list(islice(data.stream(prefetch=0), 3))
     assert [batch["flow"].shape for batch in batches] == [(2, 2, 8, 16)] * 3
-    assert set(calls[0]) == {"frame1", "frame2", "flow", "valid", "flow_backward", "seed"}
+    assert set(calls[0]) == {"frame1", "frame2", "flow", "valid", "flow_backward", "valid_backward", "seed"}
     assert calls[0]["frame1"].shape == (2, 3, 12, 20) and len({call["seed"] for call in calls}) == 3
     list(ValidationBatches(data.val_reader, 2))
     assert len(calls) == 3, "what is validated is not augmented"

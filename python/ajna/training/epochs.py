@@ -139,8 +139,9 @@ class PairReader:
         if self.augmenter is None or seeds is None:
             return cropped(found, self.window, seeds)
         given = {name: found[name] for name in (*_FRAMES, "flow", "occlusion") if name in found}
-        if "backward_flow" in found:
-            given["flow_backward"] = found["backward_flow"]
+        if "backward_flow" in found:  # with it and its masks, frames may be swapped
+            back = {name: found.get(f"backward_{name}") for name in ("flow", "valid", "occlusion")}
+            given |= {f"{name}_backward": value for name, value in back.items() if value is not None}
         return self.augmenter(given, *self.window, derive_seed("augment", *seeds))
 
 
