@@ -183,12 +183,14 @@ def test_files_and_packs_and_memory_give_the_same_batches(root: Path, packs: tup
 
 
 def test_unusable_data_is_refused(root: Path, packs: tuple[Path, Path], tmp_path: Path) -> None:
-    train = str(packs[0])
+    train, copy = str(packs[0]), str(tmp_path / "copy")
+    pack(FlyingChairs2(root), copy)
     for arguments, message in (
         ({"dataset": "chairs2"}, "data.root is missing: give the folder of data set 'chairs2'"),
         ({"dataset": "chair2", "root": train}, "'chair2' is unknown; did you mean 'chairs2'"),
         ({"dataset": "packed", "root": train}, "data.val_root is missing"),
         ({"dataset": "packed", "root": train, "val_root": train}, "'0000000' is a training pair, too"),
+        ({"dataset": "packed", "root": train, "val_root": copy}, "'0000000' is a training pair, too"),
         ({"dataset": "chairs2", "root": str(root), "val_options": {"split": "train"}}, "'0000000' is a training pair"),
         ({"dataset": "chairs2", "root": str(root), "fit": "covr"}, "data.fit = covr: did you mean 'cover'?"),
         ({"dataset": "chairs2", "root": str(root), "batch": 11}, "data.batch = 11: the data set has 10 pairs"),
@@ -199,7 +201,7 @@ def test_unusable_data_is_refused(root: Path, packs: tuple[Path, Path], tmp_path
         with pytest.raises(ValueError, match=message.replace("?", r"\?")):
             DatasetData(**{"batch": 2, **arguments})
     with pytest.raises(FileNotFoundError, match="is missing; the folders should look like this"):
-        DatasetData("chairs2", str(tmp_path))
+        DatasetData("chairs2", str(tmp_path / "copy"))
 
 
 def test_the_augmentation_gets_what_it_needs(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -225,7 +225,10 @@ def test_a_killed_and_resumed_run_equals_a_straight_one_bit_for_bit(
     assert killed.returncode == -signal.SIGKILL, killed.stderr
     reached = state_of(tmp_path / "tiny")["ajna"]["steps_done"]
     assert reached == 4, "the last whole checkpoint, at most save_every steps back"
+    if moment == "in a write":
+        assert any(path.name.startswith(".last.ckpt") for path in (tmp_path / "tiny/checkpoints").iterdir())
     assert fit([*mine, "--resume", "true", "--data.workers", "3"]) == 0
+    assert sorted(p.name for p in (tmp_path / "tiny/checkpoints").iterdir()) == ["best.ckpt", "last.ckpt"]
     ours, theirs = state_of(tmp_path / "tiny"), state_of(straight)
     for name, value in theirs["state_dict"].items():
         assert torch.equal(ours["state_dict"][name], value), name

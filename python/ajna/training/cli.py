@@ -170,6 +170,8 @@ def _throughput(args: Sequence[str]) -> None:
     cli = TrainCLI(args, run=False)
     precision = cli.config["trainer"].get("precision") or "32-true"
     data: Any = cli.datamodule
-    print(f"{'stage':<52}{data.source:>10}{'step':>10}{'both':>10}   samples/s, {torch.get_num_threads()} threads")
-    for row in throughput(cli.model, data, str(precision), cli.config["repeats"]):
+    device = cli.trainer.strategy.root_device
+    place = torch.cuda.get_device_name(device) if device.type == "cuda" else f"{torch.get_num_threads()} threads"
+    print(f"{'stage':<52}{data.source:>10}{'step':>10}{'both':>10}   samples/s, {place}")
+    for row in throughput(cli.model.to(device), data, str(precision), cli.config["repeats"]):
         print(f"{row['stage']:<52}{row['samples']:>10.1f}{row['step']:>10.1f}{row['both']:>10.1f}")

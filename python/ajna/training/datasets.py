@@ -214,11 +214,15 @@ def _augmenter(options: dict[str, Any]) -> Any:
 def _check_apart(training: FlowDataset, validation: FlowDataset) -> None:
     """Raise ValueError if a frame that is validated is trained on, too."""
 
-    trained = {training.files(index)[0] for index in range(len(training))}
+    def source(dataset: FlowDataset, index: int) -> object:
+        if isinstance(dataset, PackedDataset):
+            return dataset.names[index], dataset.checksum(index)
+        return dataset.files(index)[0]
+
+    trained = {source(training, index) for index in range(len(training))}
     for index, name in enumerate(validation.names):
-        path = validation.files(index)[0]
-        if path in trained:
+        if source(validation, index) in trained:
             raise ValueError(
-                f"validation pair '{name}' is a training pair, too ('{path}'): give another data.val_root or "
-                "data.val_options"
+                f"validation pair '{name}' is a training pair, too ('{validation.files(index)[0]}'): give another "
+                "data.val_root or data.val_options"
             )

@@ -81,7 +81,7 @@ class PairReader:
     def batch(
         self, indices: Sequence[int], seeds: Sequence[int] | None = None, device: torch.device | str = "cpu"
     ) -> Batch:
-        """The pairs as tensors on ``device`` (files are read to the CPU).
+        """The pairs as tensors on ``device``.
 
         Args:
             indices: which pairs.
@@ -107,7 +107,7 @@ class PairReader:
             each: Sequence[int | None] = [None] * len(indices) if seeds is None else seeds
             parts = list(self._pool.map(self._read, indices, each))
             names = [name for name, _ in parts]
-            found = self._joined([tensors for _, tensors in parts])
+            found = {k: v.to(device) for k, v in self._joined([tensors for _, tensors in parts]).items()}
             if self.augmenter is not None and seeds is not None:
                 found = self._finish(found, seeds)
         return {name: found[name] for name in (*_FRAMES, "flow", "occlusion") if name in found} | {"name": names}

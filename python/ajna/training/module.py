@@ -131,28 +131,34 @@ class FlowModule(pl.LightningModule):
             loss = loss + (1.0 - share) * l1
         return loss
 
+    def forward_loss(self, batch: dict[str, Any], step: int) -> tuple[Tensor, Tensor]:
+        """The optimised network's output [N, 4, H, W], float32, and the scalar to minimise at ``step``, heads included.
+
+        Raises:
+            ValueError: heads are in use, and the sides of the frames are no multiples of the network's stride.
+        """
+        frames = self._input(batch["frame1"], batch["frame2"])
+        if self.heads is None:
+            output = self.net(frames).float()
+            return output, self.objective(output, batch, step)
+        stride = self.net.config.stride
+        if frames.shape[2] % stride or frames.shape[3] % stride:
+            raise ValueError(
+                f"training crops of {frames.shape[3]}x{frames.shape[2]}: give sizes whose sides are multiples of "
+                f"{stride}, or guidance.heads_weight 0"
+            )
+        activations = self.net.forward_layers(frames)
+        output = activations[-1].float()
+        aid = self.heads.loss(activations, batch["flow"] / self.flow_scale, batch.get("valid"))
+        return output, self.objective(output, batch, step) + self.guidance.weight_at(step) * aid
+
     def training_step(self, batch: dict[str, Any], batch_idx: int) -> None:
         step, optimizer = self.steps_done, self.optimizers()
         assert isinstance(optimizer, pl.core.optimizer.LightningOptimizer)
         rate = self.optim.lr_at(step, self.trainer.max_steps)
         for group in optimizer.param_groups:
             group["lr"] = rate
-        frames = self._input(batch["frame1"], batch["frame2"])
-        if self.heads is None:
-            output = self.net(frames).float()
-            loss = self.objective(output, batch, step)
-        else:
-            stride = self.net.config.stride
-            if frames.shape[2] % stride or frames.shape[3] % stride:
-                raise ValueError(
-                    f"training crops of {frames.shape[3]}x{frames.shape[2]}: give stages whose sides are multiples of "
-                    f"{stride}, or guidance.heads_weight 0"
-                )
-            activations = self.net.forward_layers(frames)
-            output = activations[-1].float()
-            loss = self.objective(output, batch, step)
-            aid = self.heads.loss(activations, batch["flow"] / self.flow_scale, batch.get("valid"))
-            loss = loss + self.guidance.weight_at(step) * aid
+        output, loss = self.forward_loss(batch, step)
         optimizer.zero_grad()
         self.manual_backward(loss)
         norm = torch.nn.utils.clip_grad_norm_(self.net.parameters(), self.optim.gradient_clip or math.inf)

@@ -51,6 +51,10 @@ class RunFolder(pl.Callback):
 
     def on_fit_start(self, trainer: pl.Trainer, pl_module: Any) -> None:
         pl_module.failure_folder = self.folder
+        if trainer.is_global_zero:
+            for part in ("checkpoints", "pictures"):  # half-written files of a run that was killed
+                for leftover in (self.folder / part).glob(".*"):
+                    leftover.unlink()
 
     def on_train_batch_end(self, trainer: pl.Trainer, pl_module: Any, *args: Any) -> None:
         if pl_module.steps_done % self.every == 0:

@@ -40,8 +40,7 @@ def throughput(
     def step(batch: dict[str, Any]) -> None:
         mixed = torch.autocast(device.type, torch.bfloat16) if precision == "bf16-mixed" else nullcontext()
         with mixed:
-            output = module.net(module._input(batch["frame1"], batch["frame2"])).float()
-        loss = module.objective(output, batch, 0)
+            _, loss = module.forward_loss(batch, 0)
         optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(module.net.parameters(), module.optim.gradient_clip or math.inf)
