@@ -85,8 +85,8 @@ def write_flo5(path: Path, flow: np.ndarray, valid: np.ndarray) -> None:
         file.create_dataset("flow", data=stored, compression="gzip")
 
 
-def chairs2(t: Tree) -> None:
-    for split, numbers in (("train", ("0000000", "0000003")), ("val", ("0000001",))):
+def chairs2(t: Tree, train: tuple[str, ...] = ("0000000", "0000003"), val: tuple[str, ...] = ("0000001",)) -> None:
+    for split, numbers in (("train", train), ("val", val)):
         for n in numbers:
             t.frames(f"{split}/{n}-img_0.png", f"{split}/{n}-img_1.png")
             t.flow(f"{split}/{n}-flow_01.flo", f"{split}/{n}-flow_10.flo")

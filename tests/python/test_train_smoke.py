@@ -164,12 +164,11 @@ def test_unusable_options_are_refused_by_name(
     assert not list(tmp_path.rglob("*.ckpt"))
 
 
-def test_the_shipped_configs_are_valid() -> None:
+def test_the_shipped_config_is_valid() -> None:
     from ajna.training.cli import TrainCLI
 
-    for path in sorted((REPOSITORY / "train" / "configs").glob("*.yaml")):
-        cli = TrainCLI(["--config", str(path), "--model.net.width", "2"], run=False)
-        assert cli.datamodule.stages
+    path = REPOSITORY / "train" / "configs" / "synthetic.yaml"
+    assert TrainCLI(["--config", str(path), "--model.net.width", "2"], run=False).datamodule.stages
 
 
 def test_throughput_prints_a_line_per_stage(script: ModuleType, config: Path, capsys: Any) -> None:

@@ -199,7 +199,7 @@ def run_steps(module: FlowModule, batches: list[dict[str, Any]]) -> Any:
     optimizer = module.configure_optimizers()
     module._trainer = None
     module._fabric = None
-    trainer = SimpleNamespace(max_steps=100, world_size=1, log_every_n_steps=1)
+    trainer = SimpleNamespace(max_steps=100, world_size=1, log_every_n_steps=1, should_stop=False)
     patched = pytest.MonkeyPatch()
     with patched.context() as patch:
         patch.setattr(FlowModule, "trainer", trainer, raising=False)

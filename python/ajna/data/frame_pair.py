@@ -30,7 +30,7 @@ class Truth:
         """Everything by the nearest pixel, vectors scaled by width / W and height / H."""
         old_height, old_width = self.valid.shape
         scale = np.array([width / old_width, height / old_height], dtype=np.float32)
-        rows, columns = _nearest(old_height, height), _nearest(old_width, width)
+        rows, columns = nearest_pixels(old_height, height), nearest_pixels(old_width, width)
 
         def pick(array: NDArray[Any]) -> NDArray[Any]:
             return array[rows][:, columns]
@@ -106,7 +106,9 @@ class FramePair:
         if truth is not None:
             occlusion = truth.occlusion
         elif occlusion is not None:  # a mask without flow
-            occlusion = occlusion[_nearest(occlusion.shape[0], height)][:, _nearest(occlusion.shape[1], width)]
+            occlusion = occlusion[nearest_pixels(occlusion.shape[0], height)][
+                :, nearest_pixels(occlusion.shape[1], width)
+            ]
         return replace(
             self,
             frame1=resize_area(self.frame1, width, height),
@@ -119,12 +121,12 @@ class FramePair:
         )
 
 
-def _nearest(old: int, new: int) -> NDArray[np.intp]:
+def nearest_pixels(old: int, new: int) -> NDArray[np.intp]:
     """For each of `new` samples the old pixel that holds its centre."""
     return np.minimum(((np.arange(new) + 0.5) * old / new).astype(np.intp), old - 1)
 
 
-def _resampling(old: int, new: int) -> NDArray[np.float64]:
+def resampling_weights(old: int, new: int) -> NDArray[np.float64]:
     """Weights [new, old], rows summing to 1: area overlap when shrinking, linear interpolation when enlarging."""
     if new <= old:
         edges = np.arange(new + 1) * old / new
@@ -141,7 +143,7 @@ def _resampling(old: int, new: int) -> NDArray[np.float64]:
 
 def resize_area(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
     """Resize an image uint8 [H, W, C]: each new pixel is the mean over its area (linear interpolation to enlarge)."""
-    rows = _resampling(image.shape[0], height) @ image.reshape(image.shape[0], -1).astype(np.float64)
+    rows = resampling_weights(image.shape[0], height) @ image.reshape(image.shape[0], -1).astype(np.float64)
     rows = rows.reshape(height, image.shape[1], image.shape[2])
-    resized = np.matmul(_resampling(image.shape[1], width), rows)
+    resized = np.matmul(resampling_weights(image.shape[1], width), rows)
     return np.clip(np.rint(resized), 0, 255).astype(np.uint8)

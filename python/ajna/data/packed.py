@@ -104,6 +104,10 @@ class PackedDataset(FlowDataset):
     def _layout(self, record: _Record) -> Layout:
         return layout(record.width, record.height, self._parts)
 
+    def checksum(self, index: int) -> int:
+        """CRC-32 of a sample's record, as it was written."""
+        return self._records[index].crc32
+
     def record(self, index: int) -> NDArray[np.uint8]:
         """The bytes of a sample: a read-only view of the file.
 

@@ -12,14 +12,16 @@ from typing import Any
 
 import torch
 from lightning.fabric.utilities.exceptions import MisconfigurationException
-from lightning.pytorch import Trainer
+from lightning.pytorch import LightningDataModule, Trainer
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
 
-from ajna.training.data import SyntheticData
+from ajna.training.datasets import DatasetData
+from ajna.training.failure import NonFiniteLoss
 from ajna.training.module import FlowModule
-from ajna.training.progress import Pictures, StepProgressBar, Throughput
-from ajna.training.run_folder import AtomicCheckpointIO, RunFolder, atomic_path
+from ajna.training.progress import BadSamples, Pictures, StepProgressBar, Throughput
+from ajna.training.run_files import atomic_path
+from ajna.training.run_folder import AtomicCheckpointIO, RunFolder
 from ajna.training.throughput import throughput
 
 _TRAINER_DEFAULTS: dict[str, Any] = {
@@ -38,7 +40,8 @@ class TrainCLI(LightningCLI):
     def __init__(self, args: Sequence[str], run: bool = True) -> None:
         super().__init__(
             FlowModule,
-            SyntheticData,
+            LightningDataModule,
+            subclass_mode_data=True,  # data.class_path: ajna.training.DatasetData, or SyntheticData if not given
             args=list(args),
             run=run,
             seed_everything_default=1,
@@ -54,11 +57,13 @@ class TrainCLI(LightningCLI):
         return {name: {"model", "datamodule"} for name in ("fit", "validate")}
 
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
+        parser.set_defaults({"data": {"class_path": "ajna.training.SyntheticData"}})
         parser.add_argument("--name", type=str, default="synthetic", help="name of the run and of the model")
         parser.add_argument("--runs", type=str, default="runs", help="folder of the run folders")
         parser.add_argument("--resume", type=bool, default=False, help="go on from runs/<name>/checkpoints/last.ckpt")
         parser.add_argument("--save_every", type=int, default=1000, help="steps between two last.ckpt")
         parser.add_argument("--pictures", type=int, default=4, help="validation pairs drawn after each validation")
+        parser.add_argument("--repeats", type=int, default=10, help="throughput only: batches measured per figure")
         parser.add_argument("--threads", type=int | None, default=None, help="CPU threads of the network")
 
     @property
@@ -75,6 +80,9 @@ class TrainCLI(LightningCLI):
             if threads < 1:
                 raise ValueError(f"training option threads = {threads}: give at least 1")
             torch.set_num_threads(threads)
+        precision = str(self._get(self.config, "trainer").get("precision"))
+        if precision in ("16", "16-mixed", "16-true"):
+            raise ValueError(f"training option trainer.precision = {precision}: give bf16-mixed or 32-true")
         if self.subcommand != "fit" or self._get(self.config, "ckpt_path"):
             return
         exists = self.last_checkpoint.is_file()
@@ -95,6 +103,7 @@ class TrainCLI(LightningCLI):
         kwargs["callbacks"] = [
             *(trainer.get("callbacks") or []),
             Throughput(trainer.get("log_every_n_steps") or 50),
+            BadSamples(self.folder),
             *([] if trainer.get("enable_progress_bar") is False else [StepProgressBar()]),
             # Pictures first: RunFolder's files are then the last word on a validation.
             Pictures(self.folder / "pictures", self._get(self.config, "pictures")),
@@ -103,7 +112,9 @@ class TrainCLI(LightningCLI):
         return super().instantiate_trainer(**kwargs)
 
     def before_fit(self) -> None:
-        if self.trainer.max_steps < 1:
+        if isinstance(self.datamodule, DatasetData):
+            self.datamodule.total_steps(self.trainer.max_epochs, self.trainer.max_steps)
+        elif self.trainer.max_steps < 1:
             raise ValueError(f"training option trainer.max_steps = {self.trainer.max_steps}: give the steps to train")
         self._save_config()
 
@@ -135,6 +146,7 @@ class TrainCLI(LightningCLI):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the training command; returns the exit code: 0, or 2 with one sentence on stderr for unusable input."""
     args = list(sys.argv[1:] if argv is None else argv)
+    args = ["--data.skip_bad=true" if arg == "--skip-bad" else arg for arg in args]  # as train/pack.py has it
     # Advice that does not apply: the loaders are endless streams, made without workers.
     warnings.filterwarnings("ignore", message=".*does not have many workers.*")
     warnings.filterwarnings("ignore", message=".*LightningCLI's args parameter.*")
@@ -147,7 +159,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             _throughput(args[1:])
         else:
             TrainCLI(args)
-    except (ValueError, FileNotFoundError, PermissionError, MisconfigurationException) as error:
+    except (ValueError, FileNotFoundError, PermissionError, MisconfigurationException, NonFiniteLoss) as error:
         print(f"train.py: {error}", file=sys.stderr)
         return 2
     return 0
@@ -157,6 +169,9 @@ def _throughput(args: Sequence[str]) -> None:
     """``throughput --config FILE``: a table of samples per second."""
     cli = TrainCLI(args, run=False)
     precision = cli.config["trainer"].get("precision") or "32-true"
-    print(f"{'stage':<52}{'scenes':>10}{'step':>10}{'both':>10}   samples/s, {torch.get_num_threads()} threads")
-    for row in throughput(cli.model, cli.datamodule, str(precision)):
-        print(f"{row['stage']:<52}{row['scenes']:>10.1f}{row['step']:>10.1f}{row['both']:>10.1f}")
+    data: Any = cli.datamodule
+    device = cli.trainer.strategy.root_device
+    place = torch.cuda.get_device_name(device) if device.type == "cuda" else f"{torch.get_num_threads()} threads"
+    print(f"{'stage':<52}{data.source:>10}{'step':>10}{'both':>10}   samples/s, {place}")
+    for row in throughput(cli.model.to(device), data, str(precision), cli.config["repeats"]):
+        print(f"{row['stage']:<52}{row['samples']:>10.1f}{row['step']:>10.1f}{row['both']:>10.1f}")

@@ -42,6 +42,8 @@ class SyntheticData(pl.LightningDataModule):
         photo_count: textures cut from them.
     """
 
+    source = "scenes"
+
     def __init__(
         self,
         stages: list[Stage],
@@ -94,6 +96,13 @@ class SyntheticData(pl.LightningDataModule):
             pairs = generator(options.batch, options.height, options.width, validation_seed(number + 1))
             batches.append({name: getattr(pairs, name) for name in ("frame1", "frame2", "flow", "occlusion")})
         return batches
+
+    def measured(self) -> list[tuple[str, int, int]]:
+        """(description, batch, first step) of each stage, for ``throughput``."""
+        return [
+            (f"{s.height}x{s.width} batch {s.batch} from step {s.from_step} reuse {s.reuse}", s.batch, s.from_step)
+            for s in self.stages
+        ]
 
     def describe(self) -> str:
         """One line for a model card: where the samples came from."""

@@ -71,10 +71,19 @@ class FlowHeads(nn.Module):
         self.places = [2 + 2 * i for i in range(2 * net.config.sub_blocks)]
         self.heads = nn.ModuleList(nn.Conv2d(layers[i].shape[1], 2, 3, padding=1) for i in self.places)
 
-    def loss(self, activations: list[Tensor], target: Tensor) -> Tensor:
-        """Sum over heads of the mean absolute error against ``target`` [N, 2, H, W] averaged to their size."""
+    def loss(self, activations: list[Tensor], target: Tensor, valid: Tensor | None = None) -> Tensor:
+        """Sum over heads of the mean absolute error against ``target`` [N, 2, H, W] averaged to their size.
+
+        With ``valid`` bool [N, 1, H, W] only such pixels are averaged, and each average counts by their share.
+        """
         total = target.new_zeros(())
         for place, head in zip(self.places, self.heads, strict=True):
             coarse = head(activations[place]).float()
-            total = total + (coarse - nn.functional.adaptive_avg_pool2d(target, coarse.shape[-2:])).abs().mean()
+            pool = nn.AdaptiveAvgPool2d(coarse.shape[-2:])
+            if valid is None:
+                total = total + (coarse - pool(target)).abs().mean()
+                continue
+            share = pool(valid.to(target.dtype))
+            mean = pool(torch.where(valid, target, 0.0)) / share.clamp_min(1e-6)
+            total = total + ((coarse - mean).abs() * share).sum() / (2 * share.sum()).clamp_min(1e-6)
         return total

@@ -5,20 +5,23 @@ from __future__ import annotations
 
 import math
 import time
+from pathlib import Path
 from typing import Any
 
 import lightning.pytorch as pl
 import torch
 from torch import Tensor
 
-from ajna.metrics import AUSE, EndPointError, Spearman, end_point_error
+from ajna.metrics import end_point_error
 from ajna.nn import load_checkpoint, network_input
+from ajna.training.failure import NonFiniteLoss, save_batch
 from ajna.training.guidance import FlowHeads, start_with_motion_energy
 from ajna.training.options import GuidanceOptions, LossOptions, NetOptions, OptimOptions
+from ajna.training.scores import ValidationScores
 
 
 class FlowModule(pl.LightningModule):
-    """FlowNet with the uncertainty loss, trained step by step (there are no epochs).
+    """FlowNet with the uncertainty loss, trained step by step (epochs are the data module's affair).
 
     Two networks are kept: ``net`` is optimised, ``ema`` is the running average of its weights, which is validated and
     shipped. Everything that depends on time (learning rate, hand-over from L1, averaging) is a function of
@@ -71,7 +74,8 @@ class FlowModule(pl.LightningModule):
         self.skipped = 0
         self.seconds = 0.0  # spent in training over all resumes
         self._bad_in_a_row = 0
-        self._scores: dict[str, Any] = {}
+        self.failure_folder: Path | None = None  # where the batch goes at which the run ended
+        self._scores: ValidationScores | None = None
         self._clock: float | None = None
 
     def _start_from(self, path: str) -> None:
@@ -107,18 +111,46 @@ class FlowModule(pl.LightningModule):
     def objective(self, output: Tensor, batch: dict[str, Any], step: int) -> Tensor:
         """The scalar to minimise at ``step``: see LossOptions. ``output`` [N, 4, H, W], float32."""
         flow, raw = output[:, :2], output[:, 2:]
-        target = batch["flow"] / self.flow_scale
+        target, valid = batch["flow"] / self.flow_scale, batch.get("valid")
         weight = None
         if self.options.occluded_weight != 1.0:
+            if "occlusion" not in batch:
+                raise ValueError(
+                    f"training option loss.occluded_weight = {self.options.occluded_weight}: the data has no occlusion "
+                    "masks, give 1"
+                )
             weight = torch.where(batch["occlusion"], self.options.occluded_weight, 1.0)
         share = self.options.flow_share(step)
         led, raw = _scale_gradient(flow, share), _scale_gradient(raw, self.options.raw_share(step))
-        loss = self.loss(led, raw, target, None, weight)
+        loss = self.loss(led, raw, target, valid, weight)
         if share < 1.0:
             error = (flow - target).abs()
+            if valid is not None:
+                error, weight = torch.where(valid, error, 0.0), valid * (1.0 if weight is None else weight)
             l1 = error.mean() if weight is None else (error * weight).sum() / (2 * weight.sum()).clamp_min(1.0)
             loss = loss + (1.0 - share) * l1
         return loss
+
+    def forward_loss(self, batch: dict[str, Any], step: int) -> tuple[Tensor, Tensor]:
+        """The optimised network's output [N, 4, H, W], float32, and the scalar to minimise at ``step``, heads included.
+
+        Raises:
+            ValueError: heads are in use, and the sides of the frames are no multiples of the network's stride.
+        """
+        frames = self._input(batch["frame1"], batch["frame2"])
+        if self.heads is None:
+            output = self.net(frames).float()
+            return output, self.objective(output, batch, step)
+        stride = self.net.config.stride
+        if frames.shape[2] % stride or frames.shape[3] % stride:
+            raise ValueError(
+                f"training crops of {frames.shape[3]}x{frames.shape[2]}: give sizes whose sides are multiples of "
+                f"{stride}, or guidance.heads_weight 0"
+            )
+        activations = self.net.forward_layers(frames)
+        output = activations[-1].float()
+        aid = self.heads.loss(activations, batch["flow"] / self.flow_scale, batch.get("valid"))
+        return output, self.objective(output, batch, step) + self.guidance.weight_at(step) * aid
 
     def training_step(self, batch: dict[str, Any], batch_idx: int) -> None:
         step, optimizer = self.steps_done, self.optimizers()
@@ -126,48 +158,52 @@ class FlowModule(pl.LightningModule):
         rate = self.optim.lr_at(step, self.trainer.max_steps)
         for group in optimizer.param_groups:
             group["lr"] = rate
-        frames = self._input(batch["frame1"], batch["frame2"])
-        if self.heads is None:
-            output = self.net(frames).float()
-            loss = self.objective(output, batch, step)
-        else:
-            stride = self.net.config.stride
-            if frames.shape[2] % stride or frames.shape[3] % stride:
-                raise ValueError(
-                    f"training crops of {frames.shape[3]}x{frames.shape[2]}: give stages whose sides are multiples of "
-                    f"{stride}, or guidance.heads_weight 0"
-                )
-            activations = self.net.forward_layers(frames)
-            output = activations[-1].float()
-            loss = self.objective(output, batch, step)
-            loss = loss + self.guidance.weight_at(step) * self.heads.loss(activations, batch["flow"] / self.flow_scale)
+        output, loss = self.forward_loss(batch, step)
         optimizer.zero_grad()
         self.manual_backward(loss)
-        norm = torch.nn.utils.clip_grad_norm_(self.net.parameters(), self.optim.gradient_clip)
-        if self._usable(loss.detach(), norm):
+        norm = torch.nn.utils.clip_grad_norm_(self.net.parameters(), self.optim.gradient_clip or math.inf)
+        if self._usable(loss.detach(), norm, batch):
             optimizer.step()
             self._average()
         self.steps_done += 1
+        # Lightning counts the steps that were applied; a skipped one has had its turn, too.
+        self.trainer.should_stop |= 0 < self.trainer.max_steps <= self.steps_done
         self.samples_done += batch["flow"].shape[0] * self.trainer.world_size
         if step % max(self.trainer.log_every_n_steps, 1) == 0:  # type: ignore[attr-defined]
             with torch.no_grad():
-                error = end_point_error(output[:, :2] * self.flow_scale, batch["flow"]).mean()
+                valid = batch["valid"][:, 0] if "valid" in batch else slice(None)
+                error = end_point_error(output[:, :2] * self.flow_scale, batch["flow"])[valid].mean()
+                still = torch.linalg.vector_norm(batch["flow"], dim=1)[valid].mean()
             scores = {"loss": loss.item(), "epe": error.item(), "lr": rate, "gradient_norm": norm.item()}
-            scores["zero_epe"] = torch.linalg.vector_norm(batch["flow"], dim=1).mean().item()
-            scores["skipped"] = float(self.skipped)
-            self.log_dict({f"train/{name}": value for name, value in scores.items()})
+            scores |= {"zero_epe": still.item(), "skipped": float(self.skipped)}
+            self.log_dict({f"train/{name}": value for name, value in scores.items()} | self._epoch())
 
-    def _usable(self, loss: Tensor, norm: Tensor) -> bool:
-        """Whether this step's update may be applied; the same answer on all ranks, as gradients are shared."""
-        if bool(torch.isfinite(loss) & torch.isfinite(norm)):
+    def _epoch(self) -> dict[str, float]:
+        """How often the data set has been gone through, in place of Lightning's own count, which is always 0."""
+        steps = getattr(getattr(self.trainer, "datamodule", None), "steps_per_epoch", None)
+        return {"epoch": self.steps_done / steps} if steps else {}
+
+    def _usable(self, loss: Tensor, norm: Tensor, batch: dict[str, Any]) -> bool:
+        """Whether this step's update may be applied; the same answer on all ranks.
+
+        Raises:
+            NonFiniteLoss: it was not for ``optim.max_bad_steps`` steps in a row; the last batch is then in a file.
+        """
+        fine = bool(torch.isfinite(loss) & torch.isfinite(norm))
+        if self.trainer.world_size > 1:  # gradients are shared, losses are not
+            fine = self.trainer.strategy.reduce_boolean_decision(fine, all=True)
+        if fine:
             self._bad_in_a_row = 0
             return True
         self.skipped += 1
         self._bad_in_a_row += 1
         if self._bad_in_a_row >= self.optim.max_bad_steps:
-            raise RuntimeError(
-                f"loss or gradient was not finite for {self._bad_in_a_row} steps in a row (step {self.steps_done}): "
-                "resume from the last checkpoint with a lower optim.lr"
+            rank = f"-rank-{self.global_rank}" if self.trainer.world_size > 1 else ""
+            path = (self.failure_folder or Path()) / f"bad-batch-step-{self.steps_done:07d}{rank}.npz"
+            save_batch(path, batch, loss=loss.item(), gradient_norm=norm.item())
+            raise NonFiniteLoss(
+                f"loss or gradient was not finite for {self._bad_in_a_row} steps in a row (step {self.steps_done}, its "
+                f"batch is in '{path}'): resume from the last checkpoint with a lower optim.lr"
             )
         return False
 
@@ -190,26 +226,31 @@ class FlowModule(pl.LightningModule):
     # --- validation ----------------------------------------------------------------------------------------------
 
     def on_validation_epoch_start(self) -> None:
-        self._scores = {"epe": EndPointError(), "zero": EndPointError(), "ause": AUSE(), "spearman": Spearman()}
-        self._scores = {name: metric.to(self.device) for name, metric in self._scores.items()}
-        self._losses: list[Tensor] = []
+        self._scores = ValidationScores(self.device)
 
     def validation_step(self, batch: dict[str, Any], batch_idx: int) -> None:
-        output = self(batch["frame1"], batch["frame2"]).float()
-        flow, uncertainty = output[:, :2] * self.flow_scale, self.loss.uncertainty(output[:, 2:])
-        self._losses.append(self.loss(output[:, :2], output[:, 2:], batch["flow"] / self.flow_scale))
-        self._scores["epe"].update(flow, batch["flow"])
-        self._scores["zero"].update(torch.zeros_like(flow), batch["flow"])
-        for name in ("ause", "spearman"):
-            self._scores[name].update(flow, batch["flow"], uncertainty)
+        assert self._scores is not None
+        output, valid = self(batch["frame1"], batch["frame2"]).float(), batch.get("valid")
+        raw = output[:, 2:]
+        loss = self.loss(output[:, :2], raw, batch["flow"] / self.flow_scale, valid)
+        self._scores.update(
+            output[:, :2] * self.flow_scale,
+            batch,
+            self.loss.uncertainty(raw),
+            self.loss.expected_error(raw) * self.flow_scale,
+            loss,
+        )
 
     def on_validation_epoch_end(self) -> None:
-        values = {name: float(metric.compute()) for name, metric in self._scores.items()}
-        values["loss"] = float(torch.stack(self._losses).mean())
-        values["epe_ratio"] = values["epe"] / values.pop("zero")
-        self.log_dict({f"val/{name}": value for name, value in values.items()})
+        assert self._scores is not None
+        values = self._scores.compute()
+        self.log_dict({f"val/{name}": value for name, value in values.items()} | self._epoch())
 
     # --- accounting ----------------------------------------------------------------------------------------------
+
+    def on_train_start(self) -> None:
+        # Resumed at its end, a run is over although steps were skipped.
+        self.trainer.should_stop |= 0 < self.trainer.max_steps <= self.steps_done
 
     def on_train_batch_start(self, batch: Any, batch_idx: int) -> None:
         if self._clock is None:

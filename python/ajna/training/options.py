@@ -107,15 +107,24 @@ class GuidanceOptions:
 
 @dataclass
 class OptimOptions:
-    """Optimizer, learning rate over steps, clipping and weight averaging."""
+    """Optimizer, learning rate over steps, clipping and weight averaging.
+
+    The rate rises linearly over ``warmup_steps``, then follows ``schedule``: ``cosine`` falls by half a cosine to
+    ``final_lr_ratio * lr`` at the last step; ``step`` is multiplied by ``gamma`` at each of ``milestones``, which are
+    shares of the run (0.5 is half-way); ``constant`` stays. ``gradient_clip`` bounds the 2-norm of the network's
+    gradient; null leaves it. ``ema_decay`` 0 ships the weights themselves instead of their average.
+    """
 
     optimizer: str = "adamw"
     lr: float = 4e-4
     weight_decay: float = 1e-4
     betas: tuple[float, float] = (0.9, 0.999)
+    schedule: str = "cosine"
     warmup_steps: int = 500
     final_lr_ratio: float = 0.01
-    gradient_clip: float = 1.0
+    milestones: list[float] = field(default_factory=lambda: [0.5, 0.75])
+    gamma: float = 0.5
+    gradient_clip: float | None = 1.0
     ema_decay: float = 0.999
     max_bad_steps: int = 20
 
@@ -123,15 +132,25 @@ class OptimOptions:
         _require(self.optimizer in ("adamw", "adam"), "optim.optimizer", self.optimizer, "give adamw or adam")
         _require(math.isfinite(self.lr) and self.lr > 0, "optim.lr", self.lr, "give a number above 0")
         _require(self.warmup_steps >= 0, "optim.warmup_steps", self.warmup_steps, "give 0 or more")
+        schedules = ("cosine", "step", "constant")
+        _require(self.schedule in schedules, "optim.schedule", self.schedule, f"give {', '.join(schedules)}")
         _require(0 <= self.final_lr_ratio <= 1, "optim.final_lr_ratio", self.final_lr_ratio, "give 0 to 1")
-        _require(self.gradient_clip > 0, "optim.gradient_clip", self.gradient_clip, "give a number above 0")
+        rising = all(0 < a < b < 1 for a, b in itertools.pairwise([*self.milestones, 1 - 1e-12]))
+        _require(rising, "optim.milestones", self.milestones, "give rising shares of the run, between 0 and 1")
+        _require(0 < self.gamma <= 1, "optim.gamma", self.gamma, "give a number above 0, at most 1")
+        clip = self.gradient_clip
+        _require(clip is None or clip > 0, "optim.gradient_clip", clip, "give a number above 0, or null")
         _require(0 <= self.ema_decay < 1, "optim.ema_decay", self.ema_decay, "give 0 (off) to below 1")
         _require(self.max_bad_steps >= 1, "optim.max_bad_steps", self.max_bad_steps, "give at least 1")
 
     def lr_at(self, step: int, total_steps: int) -> float:
-        """Linear rise over ``warmup_steps``, then half a cosine down to ``final_lr_ratio * lr`` at ``total_steps``."""
+        """The learning rate of ``step`` (from 0) in a run of ``total_steps``."""
         if step < self.warmup_steps:
             return self.lr * (step + 1) / self.warmup_steps
+        if self.schedule == "constant":
+            return self.lr
+        if self.schedule == "step":
+            return self.lr * self.gamma ** sum(step >= share * total_steps for share in self.milestones)
         t = min(1.0, (step - self.warmup_steps) / max(total_steps - self.warmup_steps, 1))
         return self.lr * (self.final_lr_ratio + (1 - self.final_lr_ratio) * 0.5 * (1 + math.cos(math.pi * t)))
 

@@ -4,9 +4,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,26 +13,7 @@ from lightning.pytorch.plugins.io import TorchCheckpointIO
 
 from ajna.nn import save_checkpoint
 from ajna.training.module import FlowModule
-
-
-@contextmanager
-def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A temporary path in the folder of ``path`` that takes its place if the block succeeds, and vanishes if not."""
-    target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=target.suffix)
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        yield temporary
-        with open(temporary, "rb") as written:
-            os.fsync(written.fileno())
-        mode = os.umask(0)
-        os.umask(mode)
-        temporary.chmod(0o666 & ~mode)
-        os.replace(temporary, target)
-    finally:
-        temporary.unlink(missing_ok=True)
+from ajna.training.run_files import atomic_path
 
 
 class AtomicCheckpointIO(TorchCheckpointIO):
@@ -70,6 +48,13 @@ class RunFolder(pl.Callback):
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         self.best = state_dict["best"]
+
+    def on_fit_start(self, trainer: pl.Trainer, pl_module: Any) -> None:
+        pl_module.failure_folder = self.folder
+        if trainer.is_global_zero:
+            for part in ("checkpoints", "pictures"):  # half-written files of a run that was killed
+                for leftover in (self.folder / part).glob(".*"):
+                    leftover.unlink()
 
     def on_train_batch_end(self, trainer: pl.Trainer, pl_module: Any, *args: Any) -> None:
         if pl_module.steps_done % self.every == 0:

@@ -101,7 +101,7 @@ class SceneStream:
     def __iter__(self) -> Generator[Batch, None, None]:
         made: Iterator[Batch] = map(self._generate, self._numbers(self.start))
         if self.prefetch:
-            made = _in_background(made, self.prefetch)
+            made = in_background(made, self.prefetch)
         step = self.start
         while True:
             pool: list[Batch] = []  # the generated batches of one round
@@ -160,7 +160,7 @@ class _Failure(NamedTuple):
     error: BaseException
 
 
-def _in_background(source: Iterator[Batch], depth: int) -> Iterator[Batch]:
+def in_background(source: Iterator[Batch], depth: int) -> Iterator[Batch]:
     """Run ``source`` in a thread, at most ``depth`` items ahead; its errors arrive at the consumer."""
     ready: queue.Queue[Batch | _Failure] = queue.Queue(depth)
     stop = threading.Event()
