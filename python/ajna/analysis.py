@@ -11,30 +11,32 @@ ground truth says.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from ajna.baselines import FlowMethod
+from ajna import viz
 from ajna.data.frame_pair import FramePair
-from ajna.metrics import average_ranks, pearson_correlation
+from ajna.metrics import Sparsification, average_ranks, pearson_correlation
 
 WINDOW = 9  # pixels, side of the square around a pixel in which texture is measured
 MAX_DISTANCE = 24  # pixels, at which the distance to a depth boundary saturates
 _LUMA = (0.299, 0.587, 0.114)
 
 Map = NDArray[np.float64]
+#: A pair and the field that a method gave for it: `.flow`, `.uncertainty`, `.expected_error`, [H, W, 2] each.
+Answer: TypeAlias = tuple[FramePair, Any]
 
 
 # --- what a pixel looks like ---------------------------------------------------------------------------------------
 
 
 def image_gradient(frame: NDArray[np.uint8]) -> Map:
-    """Derivatives of the luma by central differences: RGB uint8 [H, W, 3] -> [H, W, 2] (x, y), grey levels per pixel."""
+    """Central differences of the luma in x and y: RGB uint8 [H, W, 3] -> [H, W, 2], grey levels per pixel."""
     luma = frame.astype(np.float64) @ np.array(_LUMA)
     return np.stack([np.gradient(luma, axis=1), np.gradient(luma, axis=0)], axis=-1)
 
@@ -132,23 +134,47 @@ class PixelTable:
         return self.where(self.case % 2 == 0), self.where(self.case % 2 == 1)
 
 
-def sample_pixels(method: FlowMethod, pairs: Iterable[FramePair], per_pair: int = 20_000, seed: int = 0) -> PixelTable:
-    """Run `method` on every pair and keep `per_pair` random pixels of each that have ground truth.
+def sample_pixels(answers: Iterable[Answer], per_pair: int = 20_000, seed: int = 0) -> PixelTable:
+    """Keep `per_pair` random pixels with ground truth of every pair; `answers` may be a generator.
 
     Raises:
         ValueError: a pair without ground truth, or no pairs.
     """
     random = np.random.default_rng(seed)
     parts = []
-    for number, pair in enumerate(pairs):
-        if pair.flow is None or pair.valid is None:
-            raise ValueError(f"case '{pair.name}' has no ground truth; an analysis of errors needs it.")
-        scored = np.flatnonzero(pair.valid)
+    for number, (pair, field) in enumerate(answers):
+        _, valid = _truth(pair)
+        scored = np.flatnonzero(valid)
         rows = np.sort(random.choice(scored, size=min(per_pair, scored.size), replace=False))
-        parts.append(_pixels(number, pair, method(pair.frame1, pair.frame2), rows))
+        parts.append(_pixels(number, pair, field, rows))
     if not parts:
         raise ValueError("there are no pairs to analyse.")
     return PixelTable(**{name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
+
+
+def sparsification(answers: Iterable[Answer], uncertainty: Callable[[FramePair, Any], ArrayLike]) -> viz.Curve:
+    """Sparsification of the flow by any map, in the convention of `ajna.metrics.Sparsification` (per image, 50 bins).
+
+    Args:
+        uncertainty: (pair, field) -> [H, W], larger where the flow should be trusted less.
+
+    Raises:
+        ValueError: a pair without ground truth.
+    """
+    curves = Sparsification()
+    for pair, field in answers:
+        truth, valid = _truth(pair)
+        flow, target = (torch.from_numpy(np.array(item)).permute(2, 0, 1)[None] for item in (field.flow, truth))
+        scalar = torch.from_numpy(np.array(uncertainty(pair, field), dtype=np.float64))[None]
+        curves.update(flow, target, scalar, torch.from_numpy(np.array(valid))[None])
+    found = curves.compute()
+    return viz.Curve(found.by_uncertainty.numpy(), found.oracle.numpy(), found.ause.item())
+
+
+def _truth(pair: FramePair) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    if pair.flow is None or pair.valid is None:
+        raise ValueError(f"case '{pair.name}' has no ground truth; an analysis of errors needs it.")
+    return pair.flow, pair.valid
 
 
 def _pixels(number: int, pair: FramePair, field: Any, rows: NDArray[np.intp]) -> dict[str, NDArray[Any]]:
@@ -156,15 +182,15 @@ def _pixels(number: int, pair: FramePair, field: Any, rows: NDArray[np.intp]) ->
         values = np.asarray(array)
         return values.reshape(-1, *values.shape[2:])[rows].astype(np.float64)
 
-    assert pair.flow is not None
-    unknown = np.full(pair.flow.shape[:2], np.nan)
-    hidden = np.zeros(pair.flow.shape[:2], dtype=np.bool_) if pair.occlusion is None else pair.occlusion
+    truth, _ = _truth(pair)
+    unknown = np.full(truth.shape[:2], np.nan)
+    hidden = np.zeros(truth.shape[:2], dtype=np.bool_) if pair.occlusion is None else pair.occlusion
     return {
         "case": np.full(rows.size, number),
-        "deviation": pick(field.flow) - pick(pair.flow),
+        "deviation": pick(field.flow) - pick(truth),
         "expected": pick(field.expected_error),
         "uncertainty": pick(field.uncertainty),
-        "motion": pick(np.hypot(pair.flow[..., 0], pair.flow[..., 1])),
+        "motion": pick(np.hypot(truth[..., 0], truth[..., 1])),
         "gradient": pick(np.linalg.norm(image_gradient(pair.frame1), axis=2)),
         "axis_contrast": pick(axis_contrast(pair.frame1)),
         "contrast": pick(local_contrast(pair.frame1)),
@@ -182,7 +208,7 @@ class Relation(NamedTuple):
     value: Map  # mean of the quantity
     expected: Map  # mean expected error, pixels
     actual: Map  # mean actual error, pixels
-    count: NDArray[np.intp]
+    pixels: NDArray[np.intp]  # how many
 
 
 def relation(quantity: ArrayLike, expected: ArrayLike, actual: ArrayLike, bins: int = 12) -> Relation:
@@ -203,8 +229,8 @@ def relation(quantity: ArrayLike, expected: ArrayLike, actual: ArrayLike, bins: 
         index = np.searchsorted(inner, x, side="right")
     count = np.bincount(index)
     filled = count > 0
-    means = (np.bincount(index, weights=values)[filled] / count[filled] for values in (x, e, a))
-    return Relation(*means, count[filled])
+    value, mean_e, mean_a = (np.bincount(index, weights=values)[filled] / count[filled] for values in (x, e, a))
+    return Relation(value, mean_e, mean_a, count[filled])
 
 
 def reliability(expected: ArrayLike, actual: ArrayLike, bins: int = 15) -> Relation:
@@ -217,7 +243,7 @@ def reliability(expected: ArrayLike, actual: ArrayLike, bins: int = 15) -> Relat
 
 def calibration_error(curve: Relation) -> float:
     """Mean over the pixels of the distance of observed and expected error of their bin, pixels."""
-    return float(np.average(np.abs(curve.actual - curve.expected), weights=curve.count))
+    return float(np.average(np.abs(curve.actual - curve.expected), weights=curve.pixels))
 
 
 class Correlations(NamedTuple):
@@ -257,7 +283,7 @@ def aperture(table: PixelTable, bins: int = 12, min_contrast: float = 1.0) -> Re
     actual = np.abs(table.deviation[rows])
     by_axis = [relation(texture, table.expected[rows, axis], actual[:, axis], bins) for axis in (0, 1)]
     u, v = by_axis
-    return Relation(u.value, np.log2(u.expected / v.expected), np.log2(u.actual / v.actual), u.count)
+    return Relation(u.value, np.log2(u.expected / v.expected), np.log2(u.actual / v.actual), u.pixels)
 
 
 class Intervals(NamedTuple):
@@ -272,7 +298,7 @@ class Intervals(NamedTuple):
 def intervals(
     fit: PixelTable, held_out: PixelTable, levels: Sequence[float] = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
 ) -> Intervals:
-    """Prediction intervals from empirical quantiles, and whether they hold on pairs that the quantiles do not come from.
+    """Prediction intervals from empirical quantiles, and whether they hold on pairs that gave none of the quantiles.
 
     The `level` quantile of |deviation| / expected error over both axes of `fit` is the number of expected errors that
     holds that share of the pixels. It is one number for all pixels: it promises the share over all, not in every place.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Plots of what `ajna.analysis` finds, as RGB uint8 arrays [H, W, 3] like those of `ajna.viz`; no global plotting state."""
+"""Plots of what `ajna.analysis` finds: RGB uint8 [H, W, 3] like those of `ajna.viz`, no global plotting state."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def _grid(figure: Figure, rows: int, columns: int, **options: Any) -> NDArray[An
 # --- maps ----------------------------------------------------------------------------------------------------------
 
 
-def uncertainty_panel(pair: FramePair, field: Any, title: str = "") -> RgbImage:
+def uncertainty_panel(pair: FramePair, field: Any, title: str = "", width: int = 1280) -> RgbImage:
     """Eight maps of one pair with ground truth: what is true, what is said of it, and what is said of itself.
 
     Upper row: frame 1, where it is hidden or at a depth boundary, true flow, flow. Lower row, in one colour scale:
@@ -51,6 +51,7 @@ def uncertainty_panel(pair: FramePair, field: Any, title: str = "") -> RgbImage:
 
     Args:
         field: with `.flow` and `.expected_error`, [H, W, 2] in pixels.
+        width: of the picture, pixels.
 
     Raises:
         ValueError: a pair without ground truth.
@@ -75,8 +76,9 @@ def uncertainty_panel(pair: FramePair, field: Any, title: str = "") -> RgbImage:
         (viz.uncertainty_to_image(expected[..., 0], 0.0, max_error), "expected error of u alone"),
         (viz.uncertainty_to_image(expected[..., 1], 0.0, max_error), "expected error of v alone"),
     ]
-    height, width = pair.frame1.shape[:2]
-    figure = _figure(1280, round(2 * (1200 / 4 * height / width + 30)) + (26 if title else 0))
+    columns, rows = pair.size
+    map_height = 0.94 * width / 4 * rows / columns
+    figure = _figure(width, round(2 * (map_height + 26)) + (30 if title else 0))
     axes = _grid(figure, 2, 4)
     for place, (picture, name) in zip(axes.flat, pictures, strict=True):
         place.imshow(picture, interpolation="antialiased")

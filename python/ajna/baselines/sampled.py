@@ -251,7 +251,8 @@ class McDropout:
             raise ValueError(f"dropout layers {list(self.layers)}: name one or more, each once.")
         self.rate, self.passes, self.seed, self.device = rate, passes, seed, torch.device(device)
         # The layout that the engine runs in, too.
-        self.net = net.to(device=self.device, memory_format=torch.channels_last)
+        self.net = net.to(self.device)
+        self.net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._scale, self._table = metadata["flow_scale"], metadata["table"].to(self.device)
         self._targets = [_affine_of(net, name) for name in self.layers]
 
@@ -321,8 +322,9 @@ def _affine_of(net: nn.FlowNet, layer: str) -> tuple[int, list[tuple[Tensor, int
     if f"{layer}.norm.weight" in tensors:
         affine = [tensors[f"{layer}.norm.{name}"].data for name in ("weight", "bias")]
         return affine[0].numel(), [(tensor, 0) for tensor in affine]
-    weight, bias = (tensors[f"{layer}.conv.{name}"].data for name in ("weight", "bias"))
-    return bias.numel(), [(weight, 1 if layer.startswith("decoder.") else 0), (bias, 0)]
+    out_axis = 1 if layer.startswith("decoder.") else 0
+    bias = tensors[f"{layer}.conv.bias"].data
+    return bias.numel(), [(tensors[f"{layer}.conv.weight"].data, out_axis), (bias, 0)]
 
 
 # --- by name -------------------------------------------------------------------------------------------------------

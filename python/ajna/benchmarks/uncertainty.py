@@ -30,10 +30,29 @@ LABELS = {
 NO_WEIGHTS = "weights not given"
 
 _NOTES = {
-    "mc_dropout": "MC dropout: channels of {layers} dropped at rate {rate:g} in a network that was trained without dropout.",
-    "mixture": "Mixture: the variance over the passes plus what each pass claims by its expected error ({mixture} noise).",
+    "mc_dropout": "MC dropout: channels of {layers} dropped at rate {rate:g} in a network trained without dropout.",
+    "mixture": "Mixture: variance over the passes plus what each pass claims by its expected error ({mixture} noise).",
     "ensemble": "Deep ensemble: {members} networks of the same shape, trained from different seeds.",
 }
+
+_HEADINGS = (
+    "method",
+    "passes",
+    "parameters",
+    "GFLOP",
+    "ms, median",
+    "ms, p90",
+    "time / one pass",
+    "EPE px",
+    "AUSE",
+    "rho",
+    "AUC",
+)
+_LEGEND = (
+    "AUSE: area between the sparsification curve (mean EPE of the kept pixels over the full mean, 50 bins, per image) "
+    "and its oracle, less is better. rho: Spearman correlation of uncertainty and error. AUC: ROC AUC of the "
+    "uncertainty for occlusion. Means over the pairs that have the figure."
+)
 
 
 @dataclass(frozen=True)
@@ -81,8 +100,8 @@ class Comparison:
         machine, model = self.machine, self.model
         versions = ", ".join(f"{name} {version}" for name, version in self.versions.items())
         lines = [
-            "| method | passes | parameters | GFLOP | ms, median | ms, p90 | time / one pass | EPE px | AUSE | rho | AUC |",
-            "|---|---|---|---|---|---|---|---|---|---|---|",
+            "| " + " | ".join(_HEADINGS) + " |",
+            "|---" * len(_HEADINGS) + "|",
             *(_markdown_row(row) for row in self.rows),
             "",
             f"- Data: {self.dataset}, {self.cases} pairs, run and scored at {width}x{height}; "
@@ -94,9 +113,7 @@ class Comparison:
             f"{', '.join(machine['cuda']) or 'no GPU'}.",
             f"- Versions: {versions}.",
             *(f"- {note}" for note in self.notes),
-            "- AUSE: area between the sparsification curve (mean EPE of the kept pixels over the full mean, 50 bins, per "
-            "image) and its oracle, less is better. rho: Spearman correlation of uncertainty and error. AUC: ROC AUC of "
-            "the uncertainty for occlusion. Means over the pairs that have the figure.",
+            f"- {_LEGEND}",
         ]
         return "\n".join(lines) + "\n"
 
@@ -247,7 +264,7 @@ def _notes(ready: Mapping[str, CostedMethod], members: Sequence[Model], options:
 
 def _markdown_row(row: Row) -> str:
     if row.missing is not None:
-        return f"| {row.label} | *{row.missing}* |" + " – |" * 9
+        return f"| {row.label} | *{row.missing}* |" + " – |" * (len(_HEADINGS) - 2)
 
     def text(value: float | None, form: str) -> str:
         return "–" if value is None else format(value, form)

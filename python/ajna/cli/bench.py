@@ -16,7 +16,6 @@ from ajna.data.registry import DATASETS
 if TYPE_CHECKING:
     from ajna.baselines import SamplingOptions
     from ajna.data.dataset import FlowDataset
-    from ajna.model import Model
 
 SYNTHETIC = "synthetic"
 MEMBER_FILE = "model.safetensors"  # what a training run leaves in its folder
