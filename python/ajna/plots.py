@@ -65,7 +65,7 @@ def uncertainty_panel(pair: FramePair, field: Any, title: str = "", width: int =
     max_error = viz.robust_scale(error, np.linalg.norm(expected, axis=2))
     pictures = [
         (pair.frame1, "frame 1"),
-        (_masks(pair), "orange: hidden in frame 2; blue: depth boundary"),
+        (_masks(pair), "orange: hidden, blue: depth edge"),
         (viz.flow_to_image(truth, max_flow), f"true flow, up to {max_flow:g} px"),
         (viz.flow_to_image(field.flow, max_flow), "flow"),
         (viz.uncertainty_to_image(error, 0.0, max_error), f"actual error, mean {np.nanmean(error):.2f} px"),
@@ -83,7 +83,7 @@ def uncertainty_panel(pair: FramePair, field: Any, title: str = "", width: int =
     for place, (picture, name) in zip(axes.flat, pictures, strict=True):
         place.imshow(picture, interpolation="antialiased")
         place.set_axis_off()
-        place.set_title(name, fontsize=9)
+        place.set_title(name, fontsize=min(9.0, width / 110))
     colors = ScalarMappable(Normalize(0.0, max_error), viz.UNCERTAINTY_COLORMAP)
     bar = figure.colorbar(colors, ax=list(axes[1]), fraction=0.02, pad=0.01)
     bar.set_label("px", fontsize=9)
