@@ -222,7 +222,7 @@ def relation(quantity: ArrayLike, expected: ArrayLike, actual: ArrayLike, bins: 
     if x.size == 0:
         raise ValueError("the quantity is known in no pixel.")
     levels = np.unique(x)
-    if levels.size <= 2 * bins:
+    if levels.size <= 3 * bins:
         index = np.searchsorted(levels, x)
     else:
         inner = np.unique(np.quantile(x, np.linspace(0, 1, bins + 1)[1:-1]))

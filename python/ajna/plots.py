@@ -12,6 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
 from numpy.typing import ArrayLike, NDArray
 
 from ajna import viz
@@ -38,6 +39,14 @@ def _rgb(figure: Figure) -> RgbImage:
 
 def _grid(figure: Figure, rows: int, columns: int, **options: Any) -> NDArray[Any]:
     return np.asarray(figure.subplots(rows, columns, squeeze=False, **options), dtype=object)
+
+
+def _plain_ticks(place: Axes, low: float, high: float) -> None:
+    """Ticks 1, 2, 5 of every decade, and 0, as plain numbers on a logarithmic horizontal axis from low to high."""
+    steps = [step * 10.0**power for power in range(-3, 4) for step in (1, 2, 5)]
+    ticks = [tick for tick in (0.0, *steps) if low <= tick <= high and not 0 < tick < high / 200]
+    place.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    place.xaxis.set_minor_locator(NullLocator())
 
 
 # --- maps ----------------------------------------------------------------------------------------------------------
@@ -179,6 +188,7 @@ def relations_plot(
         place.plot(curve.value, curve.expected, marker="s", markersize=3.5, color=_EXPECTED, label="expected")
         if name in logarithmic:
             place.set_xscale("symlog", linthresh=1.0)
+            _plain_ticks(place, 0.0 if curve.value.min() < 1 else curve.value.min(), curve.value.max())
         place.set_ylim(bottom=0)
         place.set_xlabel(name)
         place.set_ylabel("error, px")
@@ -238,6 +248,8 @@ def intervals_plot(found: Intervals, local: tuple[ArrayLike, ArrayLike], level: 
     right.axhline(level, color="grey", linewidth=1, linestyle="--", label="promised")
     right.plot(*(np.asarray(values) for values in local), marker="o", markersize=4, color=_EXPECTED, label="held")
     right.set_xscale("log")
+    shown = np.asarray(local[0])
+    _plain_ticks(right, shown.min() / 1.1, shown.max() * 1.1)
     right.set_ylim(min(0.5, float(np.min(np.asarray(local[1])))) - 0.05, 1.02)
     right.set_xlabel("expected error, px")
     right.set_ylabel(f"share inside the {level:.0%} interval")

@@ -203,6 +203,7 @@ def test_evaluate_takes_them_by_name(
     root: Path, tiny_checkpoint: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     arguments = ["evaluate", "--root", str(root), "--model", str(tiny_checkpoint), "--size", "64x48", "--repeats", "1"]
+    arguments += ["--cases", "one"]
     assert main([*arguments, "--method", "forward_backward,mc_dropout", "--json", "--out", str(tmp_path / "out")]) == 0
     methods = json.loads(capsys.readouterr().out)["methods"]
     assert list(methods) == [tiny_checkpoint.name, "forward_backward", "mc_dropout"]

@@ -68,6 +68,16 @@ def test_moments_are_those_of_numpy() -> None:
     assert np.allclose(total.variance, mixture, rtol=1e-4)
 
 
+def test_memory_does_not_grow_with_the_passes() -> None:
+    def held(passes: int) -> int:
+        moments = FlowMoments()
+        for _ in range(passes):
+            moments.add(np.ones((5, 6, 2), np.float32), np.ones((5, 6, 2)))
+        return sum(np.asarray(value).nbytes for value in vars(moments).values())
+
+    assert held(2) == held(50)
+
+
 @pytest.mark.parametrize("mixture", ["laplace", "gaussian"])
 def test_claimed_variance_is_that_of_the_density(mixture: str) -> None:
     random = np.random.default_rng(0)
