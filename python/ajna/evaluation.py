@@ -55,6 +55,7 @@ class MethodReport:
 
     cases: dict[str, Scores] = field(default_factory=dict)
     curves: SparsificationCurves | None = None  # mean over the cases with ground truth
+    run_times_ms: list[float] = field(default_factory=list)  # every timed call, `repeats` a case
     mean: Scores = field(default_factory=Scores)
     mean_without_excluded: Scores | None = None
 
@@ -124,8 +125,9 @@ def evaluate(
     for native in dataset.pairs():
         pair = native if size is None else native.resized(*size)
         for name, method in methods.items():
-            result, run_time_ms = _run(name, method, pair, repeats)
-            scores = _score(pair, result, run_time_ms, curves[name])
+            result, times_ms = _run(name, method, pair, repeats)
+            scores = _score(pair, result, statistics.median(times_ms), curves[name])
+            reports[name].run_times_ms.extend(times_ms)
             reports[name].cases[pair.name] = scores
             if on_case is not None:
                 on_case(name, pair, result, scores)
@@ -161,7 +163,7 @@ def _ratio(value: float | None, reference: float | None) -> float | None:
     return None if value is None or not reference else value / reference
 
 
-def _run(name: str, method: FlowMethod, pair: FramePair, repeats: int) -> tuple[Any, float]:
+def _run(name: str, method: FlowMethod, pair: FramePair, repeats: int) -> tuple[Any, list[float]]:
     result = method(pair.frame1, pair.frame2)
     expected = (*pair.frame1.shape[:2], 2)
     for part in ("flow", "uncertainty"):
@@ -180,8 +182,8 @@ def _run(name: str, method: FlowMethod, pair: FramePair, repeats: int) -> tuple[
     for _ in range(repeats):
         start = time.perf_counter()
         method(pair.frame1, pair.frame2)
-        times.append(time.perf_counter() - start)
-    return result, 1e3 * statistics.median(times)
+        times.append(1e3 * (time.perf_counter() - start))
+    return result, times
 
 
 def _score(pair: FramePair, result: Any, run_time_ms: float, curves: Sparsification) -> Scores:

@@ -43,3 +43,22 @@ def tiny_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
         path, nn.FlowNet(width=4), name="tiny", loss=UncertaintyLoss(), flow_scale=2.0, provenance=provenance
     )
     return path
+
+
+@pytest.fixture(scope="session")
+def member_runs(tiny_checkpoint: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of three runs, each with a model.safetensors: `tiny_checkpoint` with its weights a little off."""
+    from ajna import nn
+    from ajna.losses import UncertaintyLoss
+
+    folder = tmp_path_factory.mktemp("runs")
+    for seed in range(3):
+        net, metadata = nn.load_checkpoint(tiny_checkpoint)
+        generator = torch.Generator().manual_seed(seed)
+        with torch.no_grad():
+            for parameter in net.parameters():
+                parameter += 0.05 * parameter.abs().mean() * torch.randn(parameter.shape, generator=generator)
+        path = folder / f"member{seed}" / "model.safetensors"
+        path.parent.mkdir()
+        nn.save_checkpoint(path, net, path.parent.name, UncertaintyLoss(), metadata["flow_scale"])
+    return folder

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import difflib
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +16,21 @@ RgbImage = NDArray[np.uint8]
 Map = NDArray[np.float32]
 
 
+class Cost(NamedTuple):
+    """What one answer (flow and uncertainty of one pair) takes."""
+
+    passes: int  # of the network, or runs of the classical method
+    parameters: int  # learned scalars that must be held; 0 for a classical method
+    flops: int | None  # 2 per multiply-accumulate of the network; None where nobody counts them
+
+
 @dataclass(frozen=True)
 class BaselineField:
     """As ajna.FlowField: float32 [H, W, 2] each, pixels. Here uncertainty and expected error are the same."""
 
     flow: Map
     uncertainty: Map
+    label = "forward-backward distance"  # what the uncertainty is, for pictures
 
     @property
     def expected_error(self) -> Map:
@@ -32,6 +41,12 @@ class FlowMethod(Protocol):
     """Anything that turns two frames RGB uint8 [H, W, 3] into a field: a baseline or an ajna.Model."""
 
     def __call__(self, frame1: RgbImage, frame2: RgbImage, /) -> Any: ...
+
+
+class CostedMethod(FlowMethod, Protocol):
+    """A method that says what an answer takes at a size."""
+
+    def cost(self, width: int, height: int) -> Cost: ...
 
 
 def forward_backward_difference(forward: Map, backward: Map) -> Map:
@@ -57,6 +72,10 @@ class ZeroFlow:
     def __call__(self, frame1: RgbImage, frame2: RgbImage, /) -> BaselineField:
         zero = np.zeros((*frame1.shape[:2], 2), dtype=np.float32)
         return BaselineField(zero, zero)
+
+    def cost(self, width: int, height: int) -> Cost:
+        """Nothing."""
+        return Cost(0, 0, 0)
 
 
 class _OpenCvFlow:
@@ -84,6 +103,10 @@ class _OpenCvFlow:
         difference = forward_backward_difference(forward, backward)
         return BaselineField(forward, np.abs(difference))
 
+    def cost(self, width: int, height: int) -> Cost:
+        """Two runs; OpenCV's operations are not counted."""
+        return Cost(2, 0, None)
+
     def _flow(self, grey1: NDArray[np.uint8], grey2: NDArray[np.uint8]) -> Map:
         raise NotImplementedError
 
@@ -109,17 +132,23 @@ class Farneback(_OpenCvFlow):
         return np.asarray(flow, dtype=np.float32)
 
 
-BASELINES: dict[str, Callable[[], FlowMethod]] = {
+BASELINES: dict[str, Callable[[], CostedMethod]] = {
     "dis": DenseInverseSearch,
     "farneback": Farneback,
     "zero": ZeroFlow,
 }
 
 
-def make_baseline(name: str) -> FlowMethod:
-    """A baseline by name. Raises ValueError for an unknown name, RuntimeError where it needs OpenCV and has none."""
+def make_baseline(name: str, also: Iterable[str] = ()) -> CostedMethod:
+    """A baseline by name; `also` are names of other kinds that a message for an unknown one may suggest.
+
+    Raises:
+        ValueError: an unknown name.
+        RuntimeError: it needs OpenCV's Python package, which is not there.
+    """
     if name not in BASELINES:
-        near = difflib.get_close_matches(name, BASELINES, n=1)
-        hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(BASELINES)}."
+        known = [*BASELINES, *also]
+        near = difflib.get_close_matches(name, known, n=1)
+        hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(known)}."
         raise ValueError(f"unknown baseline method '{name}'; {hint}")
     return BASELINES[name]()

@@ -14,6 +14,7 @@ from typing import Annotated
 import typer
 
 from ajna.cli import errors
+from ajna.cli.bench import bench
 from ajna.cli.evaluate import evaluate
 from ajna.cli.export import export
 from ajna.cli.info import info
@@ -31,6 +32,7 @@ app = typer.Typer(
 )
 for _command in (predict, video, evaluate, export, info, losses):
     app.command()(_command)
+app.add_typer(bench, name="bench")
 
 
 def _print_version(wanted: bool) -> None:

@@ -59,7 +59,11 @@ def evaluate(
     ] = None,
     method: Annotated[
         list[str] | None,
-        typer.Option(help="Classical method: dis, farneback, zero or all; may be repeated, also beside --model."),
+        typer.Option(
+            help="Classical method: dis, farneback, zero or all (of these); or, from the first --model, "
+            "forward_backward, mc_dropout, mc_dropout_mixture, and from all of them ensemble, ensemble_mixture; "
+            "may be repeated, also beside --model."
+        ),
     ] = None,
     size: Annotated[
         str, typer.Option(help="WIDTHxHEIGHT at which all is run and scored, or 'full' for each pair's own.")
@@ -126,11 +130,11 @@ def _split(values: Iterable[str] | None) -> list[str]:
 def _methods(models: list[str], baselines: list[str], device: str, threads: int | None) -> dict[str, FlowMethod]:
     """Name -> method, models first; the shipped model if nothing is asked for."""
     import ajna
-    from ajna.baselines import BASELINES, make_baseline
+    from ajna.baselines import BASELINES, SAMPLED, SamplingOptions, make_baseline, make_sampled
 
     if "all" in baselines:
         baselines = list(dict.fromkeys([name for name in baselines if name != "all"] + list(BASELINES)))
-    if not models and not baselines:
+    if not models and (not baselines or any(name in SAMPLED for name in baselines)):
         models = ["best"]
     methods: dict[str, FlowMethod] = {}
     for model in models:
@@ -138,8 +142,12 @@ def _methods(models: list[str], baselines: list[str], device: str, threads: int 
         if name in methods:
             raise ValueError(f"two models are named '{name}' ({', '.join(models)}); rename one of the files.")
         methods[name] = ajna.load(model, device=device, threads=threads)
+    loaded: list[Any] = list(methods.values())
     for name in baselines:
-        methods[name] = make_baseline(name)
+        if name in SAMPLED:
+            methods[name] = make_sampled(name, loaded[0], loaded, SamplingOptions(device=device))
+        else:
+            methods[name] = make_baseline(name, also=SAMPLED)
     return methods
 
 
@@ -210,7 +218,7 @@ def _write_overview(path: Path, method: str, pair: FramePair, field: Any) -> Non
     from ajna.baselines import BaselineField
 
     truth = None if pair.flow is None or pair.valid is None else np.where(pair.valid[..., None], pair.flow, np.nan)
-    label = "forward-backward distance" if isinstance(field, BaselineField) else "expected error"
+    label = field.label if isinstance(field, BaselineField) else "expected error"
     picture = viz.overview(pair.frame1, pair.frame2, field, truth, title=f"{pair.name}: {method}", error_label=label)
     io.write_image(path, picture)
 

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Comparisons that print a table: what `ajna bench` runs."""
