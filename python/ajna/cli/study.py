@@ -105,6 +105,6 @@ def _print(result: Any) -> None:
             f"Measured: {escape(form.outcome())}; {verdict}."
         )
     failures = result.failures
-    console.print(f"all claims hold ({result.seconds:.0f} s)" if not failures else f"{len(failures)} claims fail:")
+    console.print(f"all claims hold ({result.seconds:.0f} s)" if not failures else f"claims that fail: {len(failures)}")
     for text in failures:
         console.print(f"  {escape(text)}")

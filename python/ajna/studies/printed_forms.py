@@ -150,7 +150,8 @@ def _train(
     # Slightly off the noise's centre: at its exact antipode or target an angle has no direction to move in.
     prediction = torch.full(shape, 0.1 * task.unit, requires_grad=True)
     raw = torch.full(shape, start, requires_grad=True)
-    optimizer = torch.optim.Adam([prediction, raw], lr=options.lr)
+    # A short memory: on its way out of the domain raw meets gradients that shrink by orders of magnitude.
+    optimizer = torch.optim.Adam([prediction, raw], lr=options.lr, betas=(0.9, 0.98))
     for step in range(options.steps):
         noise = torch.stack([NOISES[name]((scales.numel(), options.samples), generator) for name in options.noises])
         target = task.unit * scales[:, None] * noise

@@ -29,6 +29,27 @@ _TITLES = {
     "bimodal": "bimodal",
 }
 
+_CLAIM = (
+    "A network trained with an admissible loss (see [losses](losses.md)) knows, at every place, how large its own "
+    "error is on average, whatever the noise's distribution: at the optimum kappa(Y) = E[f]. To see whether "
+    "training gets there, a small network (two hidden layers) is trained for every admissible preset and five "
+    "kinds of noise on y = sin(3x) + s(x) e, with s from 0.6 to 2 and e of mean 0 and variance 1: Gaussian, "
+    "Laplace, Student-t with 5 degrees of freedom, a shifted gamma distribution (skewness 1.4), and two narrow "
+    "modes. Every step draws new data from x in [-1.2, 1.2]. E[f] of the trained network's own prediction is then "
+    "measured on fresh noise at {places} places in [-1, 1] and held against what the network says."
+)
+_READING = (
+    "Y is Table 3's a (1/a where a is a confidence, which falls as errors rise). Presets with the same terms "
+    "share a row. The angular loss sees directions, turned by y in units of 0.12 rad."
+)
+_PRINTED = (
+    "Four presets stand in Table 3 in a form that the check refuses. No network here, to isolate the loss: a "
+    "prediction and a raw of its own for each of 12 scales of noise (0.3 to 3 times its unit deviation) and the "
+    "five kinds of noise. Where raw must end follows from the curves of h and g: downhill from its start, to the "
+    "first local minimum of h E[f] + lam g, or out of the domain where there is none. Bins within 15 % of an "
+    "error at which a minimum vanishes are not judged."
+)
+
 
 @dataclass
 class Study:
@@ -54,7 +75,7 @@ class Study:
             if not cell.holds
         ]
         found += [
-            f"{result.preset} from raw = {result.start:g}: predicted that {result.sentence()}; measured {result.outcome()}"
+            f"{result.preset} from raw = {result.start:g}: predicted: {result.sentence()}; measured: {result.outcome()}"
             for result in self.printed
             if not result.holds
         ]
@@ -100,6 +121,7 @@ def markdown(study: Study, picture: str) -> str:
     for cell in study.cells:
         by_loss.setdefault(", ".join(f"`{name}`" for name in cell.presets), {})[cell.noise] = cell
     kappas = {entry.name: entry.kappa for entry in presets()}
+    places = study.cells[0].x.numel() if study.cells else 0
     lines = [
         "# What the published losses teach a network to say",
         "",
@@ -108,17 +130,10 @@ def markdown(study: Study, picture: str) -> str:
         "",
         "## The claim",
         "",
-        "A network trained with an admissible loss (see [losses](losses.md)) knows, at every place, how large its own error is on "
-        "average, whatever the noise's distribution: at the optimum kappa(Y) = E[f]. To see whether training gets there, "
-        "a small network (two hidden layers) is trained for every admissible preset and five kinds of noise on "
-        "y = sin(3x) + s(x) e, x in [-1, 1], with s from 0.6 to 2 and e of mean 0 and variance 1: Gaussian, Laplace, "
-        "Student-t with 5 degrees of freedom, a shifted gamma distribution (skewness 1.4), and two narrow modes. Every step draws "
-        "new data. E[f] of the trained network's own prediction is then measured on fresh noise at "
-        f"{study.cells[0].x.numel() if study.cells else 0} places and held against what the network says.",
+        _CLAIM.format(places=places),
         "",
         f"Claimed for every cell: Pearson's rho of Y and E[f] above {MIN_RHO}, and |kappa(Y) / E[f] - 1| at most "
-        f"{100 * MAX_DEVIATION:.0f} % at **every** place. Y is Table 3's a (1/a where a is a confidence, which falls as errors "
-        "rise). Presets with the same terms share a row. The angular loss sees directions, turned by y in units of 0.12 rad.",
+        f"{100 * MAX_DEVIATION:.0f} % at **every** place. {_READING}",
         "",
         "| preset | kappa(a) | " + " | ".join(_TITLES[noise] for noise in noises) + " |",
         "|---|---|" + "---|" * len(noises),
@@ -150,10 +165,7 @@ def markdown(study: Study, picture: str) -> str:
         "",
         "## The rows that cannot be meant as printed",
         "",
-        "Four presets stand in Table 3 in a form that the check refuses. No network here, to isolate the loss: a prediction and a raw "
-        "of its own for each of 12 scales of noise (0.3 to 3 times its unit deviation) and the five kinds of noise. Where raw must "
-        "end follows from the curves of h and g: downhill from its start, to the first local minimum of h E[f] + lam g, or out "
-        "of the domain where there is none. Bins within 15 % of an error at which a minimum vanishes are not judged.",
+        _PRINTED,
         "",
         "| printed form | check() | raw starts at | predicted | measured | |",
         "|---|---|---|---|---|---|",
