@@ -121,6 +121,29 @@ def test_a_training_config_builds_the_same_loss() -> None:
         assert torch.equal(ours.nan_to_num(7.0), theirs.nan_to_num(7.0))
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('h: "1 / (1 + exp(a)"', r"missing '\)'"),
+        ('g: "log(1 + exp(b))"', "unknown name at column 13"),
+        ('parametrization: "softplus(a)"', "unknown name at column 10"),
+        ('f: "abs(prediction - targt)"', "did you mean 'target'"),
+        ('h: {name: "1 / (softplus(a) + k)", params: {k: .nan}}', "'k' .* not finite"),
+        ('g: "log(a)"', "not finite"),
+        ('g: "a + 1e999"', "out of range"),
+        ("h: {name: inv_softplus, params: {epsilon: 1e-3}}", "'eps'"),
+        ("g: softpluss", "did you mean 'softplus'"),
+        ("parametrisation: softplus", "did you mean 'parametrization'"),
+        ("preset: kendal2017", "did you mean 'kendall2017'"),
+        ("lam: .inf", "lam = inf"),
+    ],
+)
+def test_faults_in_a_config_are_named_in_one_sentence(text: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message) as caught:
+        UncertaintyLoss.from_config(yaml.safe_load(text))
+    assert "\n" not in str(caught.value)
+
+
 # --- C++ -------------------------------------------------------------------------------------------------------------
 
 
