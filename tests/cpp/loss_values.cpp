@@ -13,7 +13,6 @@
 #include <map>
 #include <string>
 
-#include "ajna/base/error.hpp"
 #include "ajna/loss/presets.hpp"
 #include "ajna/loss/uncertainty_loss.hpp"
 
