@@ -30,7 +30,7 @@ Tensor numbers(std::int64_t channels, std::int64_t factor, double offset) {
   return values.to(torch::kFloat64).div(64.0).add(offset).view({2, channels, 2, 3});
 }
 
-void print(const Tensor& values) {
+void print_hex(const Tensor& values) {
   const auto flat = values.detach().contiguous().view({-1});
   for (std::int64_t i = 0; i < flat.numel(); ++i) {
     std::printf(" %a", flat[i].item<double>());
@@ -45,10 +45,10 @@ void evaluate(const LossConfig& config) {
   const auto raw = numbers(1, 47, -0.7421875).requires_grad_(true);
   const auto value = loss(prediction, raw, target);
   value.backward();
-  print(value.view({1}));
-  print(prediction.grad());
-  print(raw.grad());
-  print(loss.expected_error(raw));
+  print_hex(value.view({1}));
+  print_hex(prediction.grad());
+  print_hex(raw.grad());
+  print_hex(loss.expected_error(raw));
   std::printf("\n");
 }
 

@@ -23,8 +23,7 @@ _LABELS = {"h": "attenuation h(a(raw))", "g": "penalty lam g(a(raw))", "kappa": 
 
 
 def _colors(names: Sequence[str]) -> dict[str, Any]:
-    palette = matplotlib.colormaps["tab20"].colors  # type: ignore[attr-defined]
-    return {name: palette[index % len(palette)] for index, name in enumerate(names)}
+    return {name: matplotlib.colormaps["tab20"](index % 20) for index, name in enumerate(names)}
 
 
 def _curves(name: str, raw_min: float, raw_max: float) -> dict[str, torch.Tensor]:

@@ -172,7 +172,9 @@ def _train(options: StudyOptions, losses: list[UncertaintyLoss], tasks: list[Tas
         if step >= (1.0 - options.averaged) * options.steps:
             average.update_parameters(networks)
         progress((step + 1) / options.steps)
-    return average.module
+    averaged = average.module
+    assert isinstance(averaged, Networks)
+    return averaged
 
 
 def uncertainty(config: _core.LossConfig, raw: Tensor) -> Tensor:

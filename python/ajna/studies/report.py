@@ -191,7 +191,7 @@ def draw(study: Study) -> RgbImage:
     grid = figure.subplots(2, columns, squeeze=False)
     for axes in grid.flat:
         axes.set_axis_off()
-    colors = matplotlib.colormaps["tab20"].colors  # type: ignore[attr-defined]
+    colors = [matplotlib.colormaps["tab20"](index) for index in range(20)]
     losses = list(dict.fromkeys(cell.presets[0] for cell in study.cells))
     for axes, noise in zip(grid[0], noises, strict=False):
         axes.set_axis_on()
