@@ -47,7 +47,7 @@ class StudyOptions:
     lr: float = 0.02
     averaged: float = 0.35  # the last part of the steps, over which the weights are averaged
     grid: int = 41  # points of x
-    draws: int = 50_000  # noise samples per point that E[f] is measured with
+    draws: int = 30_000  # noise samples per point that E[f] is measured with
 
     def __post_init__(self) -> None:
         for name in ("steps", "batch", "hidden", "draws"):

@@ -40,7 +40,7 @@ class PrintedOptions:
     noises: list[str] = field(default_factory=lambda: list(NOISES))
     seed: int = 0
     scales: int = 12  # bins, spread from 0.3 to 3 times the noise's unit deviation
-    samples: int = 32  # per bin and step
+    samples: int = 256  # per bin and step
     steps: int = 1000
     lr: float = 0.04
     draws: int = 20_000  # noise samples that E[f] is measured with
@@ -151,14 +151,14 @@ def _train(
     prediction = torch.full(shape, 0.1 * task.unit, requires_grad=True)
     raw = torch.full(shape, start, requires_grad=True)
     # A short memory: on its way out of the domain raw meets gradients that shrink by orders of magnitude.
-    optimizer = torch.optim.Adam([prediction, raw], lr=options.lr, betas=(0.9, 0.98))
+    optimizer = torch.optim.Adam([prediction, raw], lr=options.lr, betas=(0.8, 0.9))
     for step in range(options.steps):
         noise = torch.stack([NOISES[name]((scales.numel(), options.samples), generator) for name in options.noises])
         target = task.unit * scales[:, None] * noise
         full = prediction[..., None].expand_as(target)
         value = loss(task.shaped(full), raw[..., None].expand_as(target).reshape(-1, 1), task.shaped(target))
         for group in optimizer.param_groups:
-            group["lr"] = options.lr * (0.1 + 0.9 * 0.5 * (1.0 + math.cos(math.pi * step / options.steps)))
+            group["lr"] = options.lr * (0.02 + 0.98 * 0.5 * (1.0 + math.cos(math.pi * step / options.steps)))
         optimizer.zero_grad()
         value.backward()
         optimizer.step()
