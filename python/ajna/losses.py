@@ -180,6 +180,19 @@ class UncertaintyLoss(nn.Module):
         weights = list(scale_weights or ())
         return self._core.multi_scale(list(prediction), list(raw), target, weights, mask, weight, reduction)
 
+    def error(self, prediction: Tensor, target: Tensor) -> Tensor:
+        """f(prediction, target) alone: the prediction's shape, or one channel for terms over the channel axis.
+
+        Raises:
+            ValueError: where shapes do not fit.
+        """
+        config = self.config
+        # With h = 1, g = a and raw = 0 the loss is f itself.
+        config.h, config.g, config.lam = _core.TermSpec("one"), _core.TermSpec("identity"), 1.0
+        config.parametrization = _core.TermSpec("none")
+        raw = prediction.new_zeros([1] * prediction.dim())
+        return _core.UncertaintyLoss(config)(prediction, raw, target, None, None, "none")
+
     def uncertainty(self, raw: Tensor) -> Tensor:
         """g(a(raw)), the paper's uncertainty: same shape as ``raw``, float32 or wider."""
         return self._core.uncertainty(raw)

@@ -20,6 +20,7 @@ from ajna.cli.export import export
 from ajna.cli.info import info
 from ajna.cli.losses import losses
 from ajna.cli.predict import predict
+from ajna.cli.study import study
 from ajna.cli.video import video
 
 app = typer.Typer(
@@ -33,6 +34,7 @@ app = typer.Typer(
 for _command in (predict, video, evaluate, export, info, losses):
     app.command()(_command)
 app.add_typer(bench, name="bench")
+app.add_typer(study)
 
 
 def _print_version(wanted: bool) -> None:

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Experiments that hold a claim against measurements: ``ajna study``."""
