@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The command line: ``ajna predict | video | evaluate | export | info``.
+"""The command line: ``ajna predict | video | evaluate | calibrate | export | info | losses``.
 
 Commands import what is heavy (torch, OpenCV, matplotlib) inside their functions, so that ``--help`` is quick. They
 raise ordinary exceptions; :func:`ajna.cli.errors.run` alone turns those into one sentence and an exit code.
@@ -14,6 +14,7 @@ from typing import Annotated
 import typer
 
 from ajna.cli import errors
+from ajna.cli.calibrate import calibrate
 from ajna.cli.evaluate import evaluate
 from ajna.cli.export import export
 from ajna.cli.info import info
@@ -29,7 +30,7 @@ app = typer.Typer(
     help="Optical flow and its per-pixel uncertainty in one pass.",
     epilog="Example: ajna predict frame1.png frame2.png --out result",
 )
-for _command in (predict, video, evaluate, export, info, losses):
+for _command in (predict, video, evaluate, calibrate, export, info, losses):
     app.command()(_command)
 
 
