@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""ajna.calibration, `ajna calibrate`, and intervals in engine, TorchScript and evaluation; small networks and scenes."""
+"""ajna.calibration, `ajna calibrate`, and intervals in engine, TorchScript and evaluation, on small networks."""
 
 from __future__ import annotations
 
@@ -18,16 +18,29 @@ from ajna.cli import main
 from ajna.data.frame_pair import FramePair
 
 SIZE = (48, 32)
+SCENE = {"bank_size": 8, "texture_size": 64}  # textures are what takes time to make
+SET = ["--set", "bank_size=8", "--set", "texture_size=64"]
 
 
 @pytest.fixture(scope="module")
 def scenes() -> calibration.SyntheticScenes:
-    return calibration.SyntheticScenes(60, *SIZE, seed=3)
+    return calibration.SyntheticScenes(60, *SIZE, seed=3, scene=SCENE)
 
 
 @pytest.fixture(scope="module")
-def result(tiny_checkpoint: Path, scenes: calibration.SyntheticScenes) -> calibration.CalibrationResult:
-    return calibration.fit(tiny_checkpoint, scenes)
+def anxious(tiny_checkpoint: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A model that expects ten times the errors of its loss."""
+    net, metadata = _core.load_checkpoint(tiny_checkpoint)
+    table = metadata.table
+    metadata.table = _core.UncertaintyTable(table.raw_min, table.raw_step, table.uncertainty, 10 * table.expected_error)
+    path = tmp_path_factory.mktemp("anxious") / "anxious.safetensors"
+    _core.save_checkpoint(path, net, metadata)
+    return path
+
+
+@pytest.fixture(scope="module")
+def result(anxious: Path, scenes: calibration.SyntheticScenes) -> calibration.CalibrationResult:
+    return calibration.fit(anxious, scenes)
 
 
 @pytest.fixture(scope="module")
@@ -40,9 +53,8 @@ def calibrated(result: calibration.CalibrationResult, tmp_path_factory: pytest.T
 # --- fitting -------------------------------------------------------------------------------------------------------
 
 
-def test_an_untrained_network_learns_what_its_errors_are(result: calibration.CalibrationResult) -> None:
+def test_a_model_learns_what_its_errors_are(result: calibration.CalibrationResult) -> None:
     assert result.images == {"expected_error": 24, "intervals": 24, "held_out": 12}
-    # The network knows nothing: its errors are about the true motion, which its old table cannot know.
     assert result.after.reliability.ece < 0.5 * result.before.reliability.ece
     assert result.before.intervals_from == "Laplace distribution" and result.after.intervals_from == "conformal"
     assert result.after.coverage.error < result.before.coverage.error
@@ -51,29 +63,29 @@ def test_an_untrained_network_learns_what_its_errors_are(result: calibration.Cal
     assert result.skipped_levels == (0.99,)  # 24 images reach 24 / 25
     provenance = result.metadata.calibration.provenance
     assert provenance["images"] == "48" and provenance["pixels"] == str(48 * 48 * 32) and provenance["date"]
-    assert provenance["data"] == "synthetic scenes without photographs, seed 3"
+    assert provenance["data"] == "synthetic scenes without photographs, seed 3, bank_size=8, texture_size=64"
 
 
-def test_the_curve_rises_and_the_uncertainty_stays(result: calibration.CalibrationResult, tiny_checkpoint: Path) -> None:
-    _, old = nn.load_checkpoint(tiny_checkpoint)
+def test_the_curve_rises_and_the_uncertainty_stays(result: calibration.CalibrationResult, anxious: Path) -> None:
+    _, old = nn.load_checkpoint(anxious)
     table = result.metadata.table
     assert torch.equal(table.uncertainty, old["table"].uncertainty)
     assert table.expected_error.diff().min() >= 0 and table.expected_error[0] > 0
     assert not torch.equal(table.expected_error, old["table"].expected_error)
 
 
-def test_equal_input_gives_equal_output(tiny_checkpoint: Path, scenes, result: calibration.CalibrationResult) -> None:
-    again = calibration.fit(tiny_checkpoint, scenes)
+def test_equal_input_gives_equal_output(anxious: Path, scenes, result: calibration.CalibrationResult) -> None:
+    again = calibration.fit(anxious, scenes)
     assert torch.equal(again.metadata.table.expected_error, result.metadata.table.expected_error)
     assert again.metadata.calibration.factors == result.metadata.calibration.factors
-    other = calibration.fit(tiny_checkpoint, scenes, weighting="pixel", seed=1)
+    other = calibration.fit(anxious, scenes, weighting="pixel", seed=1)
     assert other.metadata.calibration.factors.levels[-1] == 0.99  # pixels are many
     assert not torch.equal(other.metadata.table.expected_error, result.metadata.table.expected_error)
 
 
 def test_scenes_follow_from_the_seed() -> None:
-    first, second = calibration.SyntheticScenes(3, 16, 8, seed=0), calibration.SyntheticScenes(3, 16, 8, seed=1)
-    pair, same = first.read(2), calibration.SyntheticScenes(3, 16, 8, seed=0).read(2)
+    first, again, second = (calibration.SyntheticScenes(3, 16, 8, seed=seed, scene=SCENE) for seed in (0, 0, 1))
+    pair, same = first.read(2), again.read(2)
     assert np.array_equal(pair.frame1, same.frame1) and np.array_equal(pair.flow, same.flow)
     assert not np.array_equal(pair.frame1, first.read(1).frame1)
     assert not np.array_equal(pair.frame1, second.read(2).frame1)
@@ -87,7 +99,11 @@ def test_scenes_follow_from_the_seed() -> None:
 def test_split_is_disjoint_and_keeps_groups() -> None:
     names = [f"video{k // 7}/frame{k}" for k in range(70)]
     plain = split(names)
-    assert sorted(sum(plain, [])) == list(range(70)) and [len(part) for part in plain] == [28, 28, 14]
+    assert sorted(i for part in plain for i in part) == list(range(70)) and [len(part) for part in plain] == [
+        28,
+        28,
+        14,
+    ]
     assert split(names) == plain and split(names, seed=1) != plain
     grouped = split(names, group=lambda name: name.split("/")[0])
     videos = [{names[i].split("/")[0] for i in part} for part in grouped]
@@ -106,7 +122,7 @@ class Pairs:
 
     def __init__(self, skip_bad: bool) -> None:
         self.names, self.skip_bad = tuple(f"p{k}" for k in range(12)), skip_bad
-        self._scenes = calibration.SyntheticScenes(12, *SIZE)
+        self._scenes = calibration.SyntheticScenes(12, *SIZE, scene=SCENE)
 
     def read(self, index: int) -> FramePair:
         pair = self._scenes.read(index)
@@ -218,10 +234,10 @@ def test_evaluation_scores_calibrated_models_only(calibrated: Path, tiny_checkpo
 # --- the command ---------------------------------------------------------------------------------------------------
 
 
-def test_the_command(tiny_checkpoint: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command(anxious: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     io = pytest.importorskip("ajna.io", reason="needs the build with vision", exc_type=ImportError)
     out, plot = tmp_path / "new" / "a.safetensors", tmp_path / "new" / "a.png"
-    command = ["calibrate", str(tiny_checkpoint), "--dataset", "synthetic", "--size", "48x32", "--scenes", "30"]
+    command = ["calibrate", str(anxious), "--dataset", "synthetic", *SET, "--size", "48x32", "--scenes", "30"]
     assert main([*command, "--out", str(out), "--plot", str(plot), "--json"]) == 0
     record = json.loads(capsys.readouterr().out)
     assert record["images"] == {"expected_error": 12, "intervals": 12, "held_out": 6}
@@ -257,7 +273,8 @@ def test_the_command_reads_data_sets(tiny_checkpoint: Path, tmp_path: Path, caps
         (["--dataset", "pairs"], "needs its folder: give --root"),
         (["--dataset", "sintle", "--root", "."], "data set 'sintle' is unknown; did you mean 'sintel'"),
         (["--root", "."], "leave out --root"),
-        (["--set", "a=b"], "leave out --set"),
+        (["--set", "bank_sice=8"], "unknown scene option 'bank_sice', did you mean 'bank_size'"),
+        (["--set", "layers=many"], "scene option 'layers' = 'many': give a value of type int"),
         (["--size", "full"], "no size of their own"),
         (["--size", "48"], "is not WIDTHxHEIGHT"),
         (["--levels", "0.5,x"], "not numbers"),
@@ -277,6 +294,8 @@ def test_bad_arguments_are_one_sentence(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     command = ["calibrate", str(tiny_checkpoint), "--out", "sub/a.safetensors", "--scenes", "5", "--size", "32x16"]
+    if "--set" not in arguments and "pairs" not in arguments and "sintle" not in arguments:
+        command += SET
     assert main([*command, *arguments]) == 2
     error = capsys.readouterr().err
     assert reason in error and error.count("\n") == 1 and list(tmp_path.iterdir()) == []

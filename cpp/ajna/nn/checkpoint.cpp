@@ -84,7 +84,10 @@ std::vector<double> take_numbers(Strings& strings, const std::string& key) {
 std::string numbers_text(const std::vector<double>& numbers) {
   std::string text;
   for (const double number : numbers) {
-    text += (text.empty() ? "" : " ") + number_text(number);
+    if (!text.empty()) {
+      text += ' ';
+    }
+    text += number_text(number);
   }
   return text;
 }

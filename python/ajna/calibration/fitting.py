@@ -230,7 +230,7 @@ def fit(
     for sample in runner.samples(parts[0], progress):
         error_fit.add(sample.raw, sample.truth - sample.flow, sample.valid)
     table = error_fit.table()
-    new_table, before_table = table.to(device), old_table.to(device)
+    new_table, before_table = (curve.to(torch.device(device)) for curve in (table, old_table))
     for sample in runner.samples(parts[1], progress):
         expected = new_table.evaluate(sample.raw)[1] * flow_scale
         interval_fit.add(expected, sample.truth - sample.flow, sample.valid)

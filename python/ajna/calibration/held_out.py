@@ -52,7 +52,9 @@ class HeldOut:
     @property
     def coverage(self) -> CoverageCurve:
         """Share of flow components inside the intervals, and their width."""
-        return self._coverage.compute()
+        curve = self._coverage.compute()
+        # torchmetrics makes a scalar of a curve of one level.
+        return CoverageCurve(*(values.reshape(-1) for values in curve[:3]), curve.error)
 
     def to_json(self) -> dict[str, Any]:
         """Plain keys and numbers."""

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -29,6 +31,11 @@ class SyntheticScenes:
         seed: of scenes and textures, not negative.
         photos: folder with photographs to cut textures from, beside the procedural ones.
         photo_count: textures cut from them.
+        scene: options of ``ajna.synth.SceneConfig`` that differ from its defaults.
+
+    Raises:
+        ValueError: a number or an option out of range, or an unknown option.
+        FileNotFoundError: no such folder of photographs.
     """
 
     def __init__(
@@ -39,6 +46,7 @@ class SyntheticScenes:
         seed: int = 0,
         photos: str | Path | None = None,
         photo_count: int = 128,
+        scene: Mapping[str, Any] | None = None,
     ) -> None:
         if count < 1 or width < 1 or height < 1 or seed < 0:
             raise ValueError(
@@ -46,7 +54,8 @@ class SyntheticScenes:
             )
         self.names = tuple(f"scene_{number:05d}" for number in range(count))
         self.seed, self.width, self.height = seed, width, height
-        config = synth.scene_config()
+        config = synth.scene_config(scene)
+        self._scene = dict(scene or {})
         bank_seed = _seed(seed, 0)
         cuts = None if photos is None else synth.load_photos(photos, photo_count, config.texture_size, bank_seed)
         self._generator = synth.PairGenerator(config, bank_seed, "cpu", cuts)
@@ -57,7 +66,8 @@ class SyntheticScenes:
 
     def describe(self) -> str:
         """One line for a model card."""
-        return f"synthetic scenes {'with' if self._photos else 'without'} photographs, seed {self.seed}"
+        options = "".join(f", {name}={value}" for name, value in self._scene.items())
+        return f"synthetic scenes {'with' if self._photos else 'without'} photographs, seed {self.seed}{options}"
 
     def read(self, index: int) -> FramePair:
         """The scene as a pair with flow, occlusion and motion boundaries."""

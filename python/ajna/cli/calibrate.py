@@ -31,7 +31,7 @@ def calibrate(
     root: Annotated[Path | None, typer.Option(help="Folder of the data set; not for synthetic scenes.")] = None,
     option: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Option of the data set, e.g. pass_name=final; repeatable."),
+        typer.Option("--set", metavar="KEY=VALUE", help="Option of the data set or the scenes, e.g. pass_name=final."),
     ] = None,
     skip_bad: Annotated[bool, typer.Option(help="Count and list unreadable pairs instead of stopping.")] = False,
     size: Annotated[
@@ -65,7 +65,7 @@ def calibrate(
     shares = None if levels is None else _levels(levels)
     grouping = None if group is None else _grouping(group)
     if dataset == SYNTHETIC:
-        _refuse_for_synthetic(root, option, shape)
+        _refuse_for_synthetic(root, shape)
     elif root is None:
         raise ValueError(f"data set '{dataset}' needs its folder: give --root DIR")
     elif photos is not None:
@@ -91,7 +91,8 @@ def calibrate(
     pairs: PairSource
     if dataset == SYNTHETIC:
         assert shape is not None
-        pairs, described = SyntheticScenes(scenes, *shape, seed=seed, photos=photos), None
+        scene = _scene_options(parse_options(option))
+        pairs, described = SyntheticScenes(scenes, *shape, seed=seed, photos=photos, scene=scene), None
     else:
         assert root is not None
         pairs = open_dataset(dataset, root, skip_bad=skip_bad, options=parse_options(option), scoring=True)
@@ -124,13 +125,25 @@ def calibrate(
         _print(result, out)
 
 
-def _refuse_for_synthetic(root: Path | None, option: list[str] | None, shape: tuple[int, int] | None) -> None:
+def _refuse_for_synthetic(root: Path | None, shape: tuple[int, int] | None) -> None:
     if root is not None:
         raise ValueError(f"synthetic scenes are made, not read: leave out --root, or name the --dataset of '{root}'")
-    if option:
-        raise ValueError(f"synthetic scenes have no option '{option[0]}': leave out --set, or name another --dataset")
     if shape is None:
         raise ValueError("synthetic scenes have no size of their own: give --size WIDTHxHEIGHT")
+
+
+def _scene_options(texts: dict[str, str]) -> dict[str, Any]:
+    """Text to the types of the scene's options; unknown ones stay text and are refused, with the nearest, later."""
+    from ajna import synth
+
+    known, options = synth.scene_options(), dict[str, Any](texts)
+    for name in texts.keys() & known.keys():
+        kind = type(known[name])
+        try:
+            options[name] = kind(texts[name])
+        except ValueError:
+            raise ValueError(f"scene option '{name}' = '{texts[name]}': give a value of type {kind.__name__}") from None
+    return options
 
 
 def _levels(text: str) -> list[float]:

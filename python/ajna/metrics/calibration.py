@@ -25,7 +25,7 @@ class ReliabilityCurve(NamedTuple):
 
 
 class CoverageCurve(NamedTuple):
-    """How much the intervals of several levels hold; float64 [L] each, `error` a scalar."""
+    """How much the intervals of several levels hold; float64 [L] each (scalars for one level), `error` a scalar."""
 
     levels: Tensor  # share promised
     coverage: Tensor  # share of flow components inside
@@ -34,7 +34,7 @@ class CoverageCurve(NamedTuple):
 
 
 class QuantileCurve(NamedTuple):
-    """Promised against observed quantiles; float64 [L] each, `error` a scalar."""
+    """Promised against observed quantiles; float64 [L] each (scalars for one level), `error` a scalar."""
 
     levels: Tensor
     observed: Tensor  # share of values whose cdf is at most the level
