@@ -1,4 +1,7 @@
 // SPDX-License-Identifier: MIT
+#include <memory>
+
+#include "ajna/base/conformal.hpp"
 #include "ajna/base/error.hpp"
 #include "ajna/base/version.hpp"
 #include "bindings.hpp"
@@ -29,6 +32,25 @@ void bind_base(py::module_& m) {
       }
     }
   });
+  py::class_<ConformalFactors, std::shared_ptr<ConformalFactors>>(
+      m, "ConformalFactors", "How far flow intervals reach per share, in units of the expected error of each axis.")
+      .def(py::init([](std::vector<double> levels, std::vector<std::array<double, 2>> factors) {
+             ConformalFactors made{std::move(levels), std::move(factors)};
+             made.check();
+             return made;
+           }),
+           py::arg("levels"), py::arg("factors"), "levels rising inside (0, 1); factors (u, v) per level.")
+      .def_readonly("levels", &ConformalFactors::levels)
+      .def_readonly("factors", &ConformalFactors::factors)
+      .def("at", &ConformalFactors::at, py::arg("p"), "(factor of u, of v) at share p, linear between the levels.")
+      .def(py::self == py::self)
+      .def(py::pickle([](const ConformalFactors& self) { return py::make_tuple(self.levels, self.factors); },
+                      [](const py::tuple& state) {
+                        ConformalFactors made{state[0].cast<std::vector<double>>(),
+                                              state[1].cast<std::vector<std::array<double, 2>>>()};
+                        made.check();
+                        return made;
+                      }));
   m.def("nearest_name", &nearest_name, py::arg("name"), py::arg("candidates"),
         "The candidate nearest to `name` by edit distance, or '' where none is near.");
 }

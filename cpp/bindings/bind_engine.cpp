@@ -46,7 +46,8 @@ py::array_t<float> to_numpy(std::vector<float>&& values, int height, int width) 
 py::tuple to_tuple(FlowField&& field) {
   return py::make_tuple(to_numpy(std::move(field.flow), field.height, field.width),
                         to_numpy(std::move(field.uncertainty), field.height, field.width),
-                        to_numpy(std::move(field.expected_error), field.height, field.width), field.timestamp_s);
+                        to_numpy(std::move(field.expected_error), field.height, field.width), field.timestamp_s,
+                        std::const_pointer_cast<ConformalFactors>(field.conformal));
 }
 
 }  // namespace
@@ -71,6 +72,9 @@ void bind_engine(py::module_& m) {
       .def_readonly("stride", &ModelInfo::stride)
       .def_readonly("network", &ModelInfo::network)
       .def_readonly("provenance", &ModelInfo::provenance)
+      .def_readonly("calibrated", &ModelInfo::calibrated, "fitted on held-out data: expected errors, intervals")
+      .def_readonly("interval_levels", &ModelInfo::interval_levels, "calibrated shares of FlowField.interval")
+      .def_readonly("calibration", &ModelInfo::calibration, "data, images, pixels, date ... of the calibration")
       .def("__repr__", [](const ModelInfo& self) {
         return "ModelInfo(name='" + self.name + "', format='" + self.format + "', device='" + self.device +
                "', parameters=" + std::to_string(self.parameters) + ")";
@@ -93,7 +97,9 @@ void bind_engine(py::module_& m) {
             return to_tuple(std::move(field));
           },
           "frame1"_a, "frame2"_a, "timestamp_s"_a = 0.0,
-          "Two uint8 [H, W, 3] RGB arrays -> (flow, uncertainty, expected_error, timestamp_s), maps [H, W, 2] float32.")
+          "Two uint8 [H, W, 3] RGB arrays -> (flow, uncertainty, expected_error, timestamp_s, conformal), maps [H, W, "
+          "2] "
+          "float32; conformal is None where the model is not calibrated.")
       .def(
           "infer_batch",
           [](const FlowEngine& self, const std::vector<py::array>& frames1, const std::vector<py::array>& frames2,

@@ -81,6 +81,7 @@ void bind_analysis(py::module_& m) {
       .def_property_readonly("is_normalised", &Likelihood::is_normalised)
       .def("scale", &Likelihood::scale, "raw"_a, Release())
       .def("nll", &Likelihood::nll, "prediction"_a, "raw"_a, "target"_a, Release())
+      .def("crps", &Likelihood::crps, "prediction"_a, "raw"_a, "target"_a, Release())
       .def("cdf", &Likelihood::cdf, "x"_a, "raw"_a, Release())
       .def("quantile", &Likelihood::quantile, "p"_a, "raw"_a, Release())
       .def("interval", &Likelihood::interval, "p"_a, "raw"_a, Release())

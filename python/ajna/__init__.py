@@ -58,6 +58,7 @@ __all__ = ["FlowField", "Model", "__version__", "load", "models"]
 _SUBMODULES = (
     "analysis",
     "baselines",
+    "calibration",
     "cli",
     "data",
     "evaluation",

@@ -3,9 +3,11 @@
 
 Conventions: every figure is per image (`ajna.metrics` says which), a mean row is the mean over the cases that have the
 figure. Frames are resized by area and ground truth by nearest pixel, with vectors scaled to the new size. Scored are
-the pixels with known, valid ground truth; the occlusion AUC counts among these, too. `run_time_ms` is the median over
-repeated calls of the whole method, from two uint8 frames to flow *and* uncertainty (for the classical methods: both
-directions).
+the pixels with known, valid ground truth; the AUCs count among these, too. Motion boundaries are those of the data set,
+or else the jumps of its ground truth (`ajna.metrics.motion_boundaries`). Calibration is scored only for models that are
+calibrated; beside the figures of each case its form over all cases together is in `calibration`. `run_time_ms` is the
+median over repeated calls of the whole method, from two uint8 frames to flow *and* uncertainty (for the classical
+methods: both directions).
 """
 
 from __future__ import annotations
@@ -23,16 +25,42 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ajna.baselines import FlowMethod
+from ajna.calibration.held_out import HeldOut
 from ajna.data.dataset import FlowDataset, check_names
 from ajna.data.frame_pair import FramePair
-from ajna.metrics import EndPointError, FlAll, OcclusionAUC, Sparsification, SparsificationCurves, Spearman
+from ajna.metrics import (
+    AUSE,
+    EndPointError,
+    FlAll,
+    MotionBoundaryAUC,
+    OcclusionAUC,
+    OutlierRate,
+    Pearson,
+    Sparsification,
+    SparsificationCurves,
+    Spearman,
+    motion_boundaries,
+)
 
 # Motion far beyond what a network for a drone's frames is meant for (Sintel's market_5 holds |flow| up to 132 px, 32 px
 # in the mean) would alone decide a mean end-point error over a handful of pairs. Such cases tell about uncertainty only
 # and stay out of the mean of the error figures.
 UNCERTAINTY_ONLY = frozenset({"sintel_market5_final_0002"})
 
-ERROR_FIGURES = ("epe", "zero_epe", "ratio", "fl_all")
+# Figures in pixels, and shares of pixels over a limit in pixels.
+ERROR_FIGURES = (
+    "epe",
+    "zero_epe",
+    "ratio",
+    "fl_all",
+    "outlier_1px",
+    "outlier_3px",
+    "outlier_5px",
+    "ece_px",
+    "width_90_px",
+)
+
+INTERVAL_LEVEL = 0.9  # of the coverage per case
 
 
 @dataclass(frozen=True)
@@ -43,9 +71,18 @@ class Scores:
     zero_epe: float | None = None  # the same of zero flow: the mean true motion
     ratio: float | None = None  # epe / zero_epe; in a mean row the ratio of the two means
     fl_all: float | None = None  # fraction of pixels off by over 3 px and 5 %
+    outlier_1px: float | None = None  # fraction of pixels off by over 1 px
+    outlier_3px: float | None = None
+    outlier_5px: float | None = None
     ause: float | None = None  # area under the sparsification error
+    ause_fl: float | None = None  # the same of the share of KITTI's outliers
     rho: float | None = None  # Spearman correlation of uncertainty norm and end-point error
+    pearson: float | None = None  # their linear correlation (paper Eq. 9)
     occlusion_auc: float | None = None  # ROC AUC of the uncertainty norm for the occlusion mask
+    motion_boundary_auc: float | None = None  # the same for motion boundaries
+    ece_px: float | None = None  # expected calibration error of the expected error; calibrated models only
+    coverage_90: float | None = None  # share of flow components inside their 90 % interval; calibrated models only
+    width_90_px: float | None = None  # mean width of these intervals, pixels
     run_time_ms: float | None = None  # median
 
 
@@ -56,6 +93,7 @@ class MethodReport:
     cases: dict[str, Scores] = field(default_factory=dict)
     curves: SparsificationCurves | None = None  # mean over the cases with ground truth
     run_times_ms: list[float] = field(default_factory=list)  # every timed call, `repeats` a case
+    calibration: HeldOut | None = None  # over all cases with ground truth; calibrated models only
     mean: Scores = field(default_factory=Scores)
     mean_without_excluded: Scores | None = None
 
@@ -82,6 +120,7 @@ class Evaluation:
                     "cases": {case: asdict(scores) for case, scores in report.cases.items()},
                     "mean": asdict(report.mean),
                     "mean_without_excluded": report.mean_without_excluded and asdict(report.mean_without_excluded),
+                    "calibration": report.calibration and report.calibration.to_json(),
                 }
                 for name, report in self.methods.items()
             },
@@ -107,7 +146,7 @@ def evaluate(
         methods: name -> callable(frame1, frame2) that gives `.flow` and `.uncertainty` [H, W, 2].
         size: (width, height) at which all is run and scored; None for each pair's own size.
         exclude: cases that are scored but left out of a second mean, `mean_without_excluded`.
-        uncertainty_only: cases left out of the means of the error figures (epe, zero_epe, ratio, fl_all).
+        uncertainty_only: cases left out of the means of the error figures (ERROR_FIGURES).
         repeats: timed calls per case, after one that is not timed.
         on_case: called with (method name, resized pair, field, scores) after each case, e.g. to draw pictures.
 
@@ -126,7 +165,7 @@ def evaluate(
         pair = native if size is None else native.resized(*size)
         for name, method in methods.items():
             result, times_ms = _run(name, method, pair, repeats)
-            scores = _score(pair, result, statistics.median(times_ms), curves[name])
+            scores = _score(pair, result, statistics.median(times_ms), curves[name], reports[name])
             reports[name].run_times_ms.extend(times_ms)
             reports[name].cases[pair.name] = scores
             if on_case is not None:
@@ -186,7 +225,7 @@ def _run(name: str, method: FlowMethod, pair: FramePair, repeats: int) -> tuple[
     return result, times
 
 
-def _score(pair: FramePair, result: Any, run_time_ms: float, curves: Sparsification) -> Scores:
+def _score(pair: FramePair, result: Any, run_time_ms: float, curves: Sparsification, report: MethodReport) -> Scores:
     uncertainty = _batch(result.uncertainty)
     if pair.flow is None or pair.valid is None:
         auc = None if pair.occlusion is None else OcclusionAUC()(uncertainty, torch.from_numpy(pair.occlusion)[None])
@@ -196,6 +235,10 @@ def _score(pair: FramePair, result: Any, run_time_ms: float, curves: Sparsificat
     auc = None
     if pair.occlusion is not None:
         auc = OcclusionAUC()(uncertainty, torch.from_numpy(pair.occlusion)[None], valid)
+    if pair.motion_boundary is not None:
+        boundary = torch.from_numpy(pair.motion_boundary)[None]
+    else:
+        boundary = motion_boundaries(target, valid)
     epe = _defined(EndPointError()(prediction, target, valid))
     zero_epe = _defined(EndPointError()(torch.zeros_like(target), target, valid))
     return Scores(
@@ -203,11 +246,39 @@ def _score(pair: FramePair, result: Any, run_time_ms: float, curves: Sparsificat
         zero_epe=zero_epe,
         ratio=_ratio(epe, zero_epe),
         fl_all=_defined(FlAll()(prediction, target, valid)),
+        outlier_1px=_defined(OutlierRate(1.0)(prediction, target, valid)),
+        outlier_3px=_defined(OutlierRate(3.0)(prediction, target, valid)),
+        outlier_5px=_defined(OutlierRate(5.0)(prediction, target, valid)),
         ause=_defined(curves(prediction, target, uncertainty, valid).ause),
+        ause_fl=_defined(AUSE(of="fl")(prediction, target, uncertainty, valid)),
         rho=_defined(Spearman()(prediction, target, uncertainty, valid)),
+        pearson=_defined(Pearson()(prediction, target, uncertainty, valid)),
         occlusion_auc=_defined(auc),
+        motion_boundary_auc=_defined(MotionBoundaryAUC()(uncertainty, boundary, valid)),
+        **_calibration_scores(prediction, target, valid, result, report),
         run_time_ms=run_time_ms,
     )
+
+
+def _calibration_scores(
+    prediction: Tensor, target: Tensor, valid: Tensor, result: Any, report: MethodReport
+) -> dict[str, float | None]:
+    """The figures of one case of a calibrated model, which is also added to the report's; empty for other methods."""
+    factors = getattr(result, "conformal", None)
+    if factors is None or not valid.any():
+        return {}
+    within = factors.levels[0] <= INTERVAL_LEVEL <= factors.levels[-1]
+    levels = sorted({*factors.levels, *([INTERVAL_LEVEL] if within else [])})
+    if report.calibration is None:
+        report.calibration = HeldOut(levels, factors)
+    case = HeldOut(levels, factors)
+    for figures in (case, report.calibration):
+        figures.add(prediction[0], target[0], _batch(result.expected_error)[0], valid[0])
+    scores = {"ece_px": _defined(case.reliability.ece)}
+    if within:
+        curve, place = case.coverage, levels.index(INTERVAL_LEVEL)
+        scores |= {"coverage_90": _defined(curve.coverage[place]), "width_90_px": _defined(curve.width[place])}
+    return scores
 
 
 def _batch(array: NDArray[Any]) -> Tensor:

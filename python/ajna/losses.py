@@ -222,7 +222,7 @@ class UncertaintyLoss(nn.Module):
         """The error distribution whose negative log-likelihood this loss is, up to a factor and a constant.
 
         Args:
-            channels: dimensions that one value of f spans (for ``squared_l2``).
+            channels: dimensions that one value of f spans (for ``l2`` and ``squared_l2``).
 
         Raises:
             ValueError: where there is none.
@@ -236,11 +236,26 @@ class UncertaintyLoss(nn.Module):
 
     def nll(self, prediction: Tensor, raw: Tensor, target: Tensor) -> Tensor:
         """-log p(target | prediction, raw) in nats, the shape of f's value; ValueError without a likelihood."""
-        channels = prediction.shape[1] if self.config.f.name == "squared_l2" and prediction.dim() > 1 else 1
-        return self.likelihood(channels).nll(prediction, raw, target)
+        return self.likelihood(self._channels(prediction)).nll(prediction, raw, target)
+
+    def crps(self, prediction: Tensor, raw: Tensor, target: Tensor) -> Tensor:
+        """Continuous ranked probability score per component, the prediction's shape and unit.
+
+        Raises:
+            ValueError: for losses that are neither a Laplace nor a Gaussian likelihood.
+        """
+        return self.likelihood(self._channels(prediction)).crps(prediction, raw, target)
+
+    def _channels(self, prediction: Tensor) -> int:
+        """What one value of f spans."""
+        return prediction.shape[1] if self.config.f.name in ("l2", "squared_l2") and prediction.dim() > 1 else 1
 
     def cdf(self, error: Tensor, raw: Tensor, channels: int = 1) -> Tensor:
-        """P(target - prediction <= error) per component (for ``angular``: P(angle <= error), radians)."""
+        """P(target - prediction <= error) per component, also for ``squared_l2``.
+
+        For ``angular`` P(angle <= error), radians; for ``l2`` over several channels P(length <= error), the length of
+        target - prediction over them.
+        """
         return self.likelihood(channels).cdf(error, raw)
 
     def quantile(self, p: Tensor, raw: Tensor, channels: int = 1) -> Tensor:
@@ -248,7 +263,10 @@ class UncertaintyLoss(nn.Module):
         return self.likelihood(channels).quantile(p, raw)
 
     def interval(self, p: float, raw: Tensor, channels: int = 1) -> tuple[Tensor, Tensor]:
-        """Low and high end of the central interval of target - prediction with probability ``p``, shapes of ``raw``."""
+        """Low and high end of the central interval of target - prediction with probability ``p``, shapes of ``raw``.
+
+        What the ends bound is what :meth:`cdf` is of; for an angle or a length the low end is 0.
+        """
         return self.likelihood(channels).interval(p, raw)
 
     def sample(self, raw: Tensor, channels: int = 1) -> Tensor:

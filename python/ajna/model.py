@@ -10,12 +10,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ajna._core import EngineOptions, FlowEngine, ModelInfo, nearest_name
+
+if TYPE_CHECKING:
+    from ajna._core import ConformalFactors
 
 #: A frame: RGB uint8 [H, W, 3], or the path of an image file.
 FrameLike: TypeAlias = "NDArray[np.uint8] | str | os.PathLike[str]"
@@ -34,12 +37,14 @@ class FlowField:
         uncertainty: float32 [H, W, 2], positive, grows with the expected error; in the unit of the loss.
         expected_error: float32 [H, W, 2], the error that the network expects of itself, pixels.
         timestamp_s: capture time of frame 2, seconds.
+        conformal: how far intervals reach, where the model is calibrated (see :mod:`ajna.calibration`); else None.
     """
 
     flow: NDArray[np.float32]
     uncertainty: NDArray[np.float32]
     expected_error: NDArray[np.float32]
     timestamp_s: float = 0.0
+    conformal: ConformalFactors | None = None
 
     def __post_init__(self) -> None:
         shape = self.flow.shape
@@ -73,6 +78,27 @@ class FlowField:
     def expected_error_norm(self) -> NDArray[np.float32]:
         """float32 [H, W]: 2-norm of the expected error over the axes, pixels."""
         return np.hypot(self.expected_error[..., 0], self.expected_error[..., 1])
+
+    def interval(self, p: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Per axis the split-conformal interval that holds the true flow with probability ``p``.
+
+        The probability is one over pixels of images like those that the model was calibrated on, on average over images
+        and pixels; :mod:`ajna.calibration` says what that does and does not promise. Between the calibrated levels
+        the width is interpolated linearly.
+
+        Returns:
+            (low, high): float32 [H, W, 2] each, pixels per frame interval.
+
+        Raises:
+            ValueError: the model is not calibrated, or not for such a ``p``; says how to calibrate it.
+        """
+        if self.conformal is None:
+            raise ValueError(
+                "flow intervals need a calibrated model: run `ajna calibrate MODEL --dataset NAME --root DIR --out "
+                "NEW.safetensors` and load that file"
+            )
+        reach = np.asarray(self.conformal.at(p), dtype=np.float32) * self.expected_error
+        return self.flow - reach, self.flow + reach
 
     def __repr__(self) -> str:
         return (
@@ -117,7 +143,7 @@ class Model:
 
     @property
     def info(self) -> ModelInfo:
-        """Name, file, format, device, loss, parameters and provenance."""
+        """Name, file, format, device, loss, parameters, provenance, and whether and on what it is calibrated."""
         return self._engine.info
 
     @cached_property
@@ -213,6 +239,18 @@ def _resolve(name_or_path: str | os.PathLike[str]) -> Path:
     hint = f", did you mean '{near}'?" if near else "."
     known = ", ".join(shipped) or "none, as this build ships no models"
     raise ValueError(f"unknown model '{name_or_path}'{hint} Known: {known}; or give the path of a model file")
+
+
+def checkpoint_path(name_or_path: str | os.PathLike[str]) -> Path:
+    """The file of a shipped model or of a checkpoint, for what needs its network and not the engine.
+
+    Raises:
+        ValueError: for an unknown name, and for a TorchScript file, whose network is sealed.
+    """
+    path = _resolve(name_or_path)
+    if path.suffix != ".safetensors":
+        raise ValueError(f"model '{path}' is not a checkpoint (.safetensors): give the one it was exported from")
+    return path
 
 
 def _sha256(path: Path) -> str:

@@ -294,8 +294,8 @@ def load_checkpoint(path: str | os.PathLike[str]) -> tuple[FlowNet, dict[str, An
     """Read a checkpoint, strictly; nothing in the file is executed.
 
     Returns:
-        (the network in eval mode, metadata): ``name``, ``flow_scale``, ``loss``, ``provenance`` (a dict) and ``table``
-        (raw -> uncertainty and expected error).
+        (the network in eval mode, metadata): ``name``, ``flow_scale``, ``loss``, ``provenance`` (a dict), ``table``
+        (raw -> uncertainty and expected error) and ``calibration`` (``_core.Calibration``, None where it has none).
 
     Raises:
         FileNotFoundError, ValueError: for a missing file, or one that is truncated or not an Ajna checkpoint.
@@ -307,6 +307,7 @@ def load_checkpoint(path: str | os.PathLike[str]) -> tuple[FlowNet, dict[str, An
         "loss": metadata.loss,
         "provenance": dict(metadata.provenance),
         "table": metadata.table,
+        "calibration": metadata.calibration,
     }
 
 
@@ -319,7 +320,7 @@ def export_torchscript(path: str | os.PathLike[str], net: FlowNet, metadata: Map
     Args:
         path: the file to write.
         net: a network of 6 to 4 channels; it is not changed.
-        metadata: as :func:`load_checkpoint` returns it.
+        metadata: as :func:`load_checkpoint` returns it; its calibration is taken along.
 
     Raises:
         ValueError: for another network, or metadata that do not fit it; RuntimeError where writing fails.
@@ -329,6 +330,7 @@ def export_torchscript(path: str | os.PathLike[str], net: FlowNet, metadata: Map
     if missing:
         raise ValueError(f"model metadata lack '{missing[0]}': give what load_checkpoint returned beside the network")
     filled = _metadata(net, *(metadata[field] for field in fields))
+    filled.calibration = metadata.get("calibration")
     _core.export_torchscript(os.fspath(path), net._core, filled)
 
 

@@ -172,6 +172,31 @@ TEST_F(EngineTest, InfoSaysWhatWasLoaded) {
     EXPECT_EQ(info.flow_scale, 2.5);
     EXPECT_EQ(info.network.at("width"), 8);
     EXPECT_EQ(info.provenance, metadata_.provenance);
+    EXPECT_FALSE(info.calibrated);
+    EXPECT_TRUE(info.interval_levels.empty());
+  }
+}
+
+TEST_F(EngineTest, CalibrationReachesTheFields) {
+  EXPECT_FALSE(FlowEngine::load(checkpoint_).info().calibrated);
+  metadata_.calibration = nn::Calibration{
+      {{0.5, 0.9}, {{1, 2}, {3, 4}}}, {{"data", "scenes"}, {"images", "9"}, {"pixels", "77"}, {"date", "2026-01-02"}}};
+  nn::save_checkpoint(checkpoint_, *net_, metadata_);
+  const Image image1 = noise_image(20, 12, 1), image2 = noise_image(20, 12, 2);
+  for (const auto& path : {checkpoint_, script()}) {
+    const auto engine = FlowEngine::load(path);
+    EXPECT_TRUE(engine.info().calibrated);
+    EXPECT_EQ(engine.info().interval_levels, (std::vector<double>{0.5, 0.9}));
+    EXPECT_EQ(engine.info().calibration.at("images"), "9");
+    const auto field = engine.infer(image1.view(), image2.view());
+    const auto interval = field.interval(0.9);
+    ASSERT_EQ(interval.low.size(), field.flow.size());
+    for (std::size_t i = 0; i < field.flow.size(); ++i) {
+      const double reach = (i % 2 == 0 ? 3.0 : 4.0) * field.expected_error[i];
+      EXPECT_NEAR(interval.high[i] - field.flow[i], reach, 1e-4 * (1 + reach));
+      EXPECT_NEAR(field.flow[i] - interval.low[i], reach, 1e-4 * (1 + reach));
+    }
+    expect_error(ErrorKind::kInvalidArgument, "from 0.5 to 0.9", [&] { (void)field.interval(0.95); });
   }
 }
 

@@ -256,6 +256,56 @@ TEST(Likelihood, IntegratesToOneAndItsQuantilesInvertItsCdf) {
   }
 }
 
+TEST(Likelihood, CrpsIsTheIntegralOfItsDefinition) {
+  const auto x = torch::linspace(-300.0, 300.0, 600001, kDouble).view({-1, 1});
+  for (const char* name : {"poggi2020", "kendall2017", "ilg2018", "martinbrualla2021"}) {
+    const auto density = Likelihood::require(UncertaintyLoss(preset(name).config), 2);
+    const auto raw = torch::tensor({-2.0, 0.0, 1.5, 1.5}, kDouble), zero = torch::zeros_like(raw);
+    const auto error = torch::tensor({0.3, -1.0, 6.0, 0.0}, kDouble);
+    const auto step = (x >= error).to(kDouble);
+    const auto integral = torch::trapezoid((density.cdf(x, raw) - step).square(), x, 0);
+    EXPECT_TRUE(torch::allclose(density.crps(zero, raw, error), integral, 1e-3, 1e-3)) << name;
+  }
+  const auto angular = Likelihood::require(UncertaintyLoss(preset("bae2021").config));
+  const auto one = torch::ones({1, 3, 1, 1}, kDouble);
+  EXPECT_NE(message_of([&] { (void)angular.crps(one, one, one); }).find("no closed form"), std::string::npos);
+}
+
+TEST(Likelihood, OfTheLengthOverChannelsIsTheSphericalLaplace) {
+  const UncertaintyLoss single(config_of({"l2"}, {"inv"}, {"log"}, {"softplus"}));
+  EXPECT_EQ(Likelihood::require(single).family(), Likelihood::Family::kLaplace);
+  for (const std::int64_t d : {2, 3}) {
+    auto config = config_of({"l2"}, {"inv"}, {"log"}, {"softplus"});
+    config.lam = static_cast<double>(d);
+    const auto density = Likelihood::require(UncertaintyLoss(config), d);
+    EXPECT_EQ(density.family(), Likelihood::Family::kRadial);
+    EXPECT_TRUE(density.is_normalised());
+    const auto raw = torch::tensor({-1.0, 0.7}, kDouble).view({2, 1});
+    // Mass: the density at radius r times the surface of the sphere of that radius.
+    const auto r = torch::linspace(0.0, 80.0, 200001, kDouble);
+    auto at = torch::zeros({r.size(0), d}, kDouble);
+    at.select(1, 0).copy_(r);
+    const double surface = d == 2 ? 2 * 3.14159265358979323846 : 4 * 3.14159265358979323846;
+    const auto nll = density.nll(at, raw[1].expand({r.size(0), 1}), torch::zeros_like(at)).view({-1});
+    const auto rate = (-nll).exp() * surface * r.pow(static_cast<double>(d - 1));
+    EXPECT_NEAR(torch::trapezoid(rate, r).item<double>(), 1.0, 1e-4);
+    const double below_two = torch::trapezoid(rate.slice(0, 0, 5001), r.slice(0, 0, 5001)).item<double>();
+    EXPECT_NEAR(density.cdf(torch::tensor(2.0, kDouble), raw[1]).item<double>(), below_two, 1e-4);
+    for (const double p : {0.02, 0.5, 0.99}) {
+      const auto share = torch::tensor(p, kDouble);
+      EXPECT_TRUE(torch::allclose(density.cdf(density.quantile(share, raw), raw), share.expand({2, 1}), 1e-7));
+    }
+    const auto [low, high] = density.interval(0.8, raw);
+    EXPECT_EQ(low.abs().max().item<double>(), 0.0);
+    EXPECT_NEAR(density.cdf(high, raw)[0].item<double>(), 0.8, 1e-7);
+    EXPECT_NE(message_of([&] { (void)density.crps(raw, raw, raw); }).find("spherical Laplace"), std::string::npos);
+    EXPECT_NE(message_of([&] {
+                (void)density.nll(torch::zeros({1, d + 1}), torch::zeros({1, 1}), torch::zeros({1, d + 1}));
+              }).find("pass channels="),
+              std::string::npos);
+  }
+}
+
 TEST(MultiScale, IsTheWeightedSumOfItsScales) {
   const UncertaintyLoss loss;
   torch::manual_seed(5);

@@ -26,7 +26,11 @@ from ajna.evaluation import Scores, evaluate, mean_scores
 
 HEIGHT, WIDTH = 48, 64
 SHIFTS = {"slow": (2, 0), "fast": (-4, 3), "sintel_market5_final_0002": (40, 0)}
-KEYS = {"epe", "zero_epe", "ratio", "fl_all", "ause", "rho", "occlusion_auc", "run_time_ms"}
+KEYS = {
+    *("epe", "zero_epe", "ratio", "fl_all", "outlier_1px", "outlier_3px", "outlier_5px"),
+    *("ause", "ause_fl", "rho", "pearson", "occlusion_auc", "motion_boundary_auc"),
+    *("ece_px", "coverage_90", "width_90_px", "run_time_ms"),
+}
 
 
 def smooth_noise(random: np.random.Generator) -> np.ndarray:

@@ -4,7 +4,27 @@
 #include <algorithm>
 #include <cmath>
 
+#include "ajna/base/error.hpp"
+
 namespace ajna {
+
+FlowInterval FlowField::interval(double p) const {
+  if (conformal == nullptr) {
+    throw_invalid(
+        "flow intervals need a calibrated model: run `ajna calibrate MODEL --dataset NAME --root DIR --out "
+        "NEW.safetensors` and load that file");
+  }
+  const auto factors = conformal->at(p);
+  FlowInterval result;
+  result.low.resize(flow.size());
+  result.high.resize(flow.size());
+  for (std::size_t i = 0; i < flow.size(); ++i) {
+    const float reach = static_cast<float>(factors[i % 2]) * expected_error[i];
+    result.low[i] = flow[i] - reach;
+    result.high[i] = flow[i] + reach;
+  }
+  return result;
+}
 
 std::vector<float> uncertainty_norm(const FlowField& field) {
   std::vector<float> norm(field.uncertainty.size() / 2);

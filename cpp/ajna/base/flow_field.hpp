@@ -2,9 +2,17 @@
 #pragma once
 
 #include <cstddef>
+#include <memory>
 #include <vector>
 
+#include "ajna/base/conformal.hpp"
+
 namespace ajna {
+
+/// Between which two flows the true one lies; same layout as FlowField's planes.
+struct FlowInterval {
+  std::vector<float> low, high;  ///< pixels per frame interval
+};
 
 /// Dense optical flow and its uncertainty: the one seam between learning and robotics.
 ///
@@ -18,10 +26,17 @@ struct FlowField {
   std::vector<float> uncertainty;     ///< g(raw) per axis: positive, monotone in the expected error, unit of the loss
   std::vector<float> expected_error;  ///< kappa(raw) per axis: the error that the network expects of itself, pixels
   double timestamp_s = 0.0;           ///< capture time of frame 2, seconds
+  /// How far intervals reach; null where the model is not calibrated. Shared by all fields of a model.
+  std::shared_ptr<const ConformalFactors> conformal;
 
   [[nodiscard]] std::size_t index(int x, int y) const noexcept {
     return 2 * (static_cast<std::size_t>(y) * static_cast<std::size_t>(width) + static_cast<std::size_t>(x));
   }
+
+  /// Per axis the split-conformal interval that holds the true flow with probability `p`, over pixels of images like
+  /// those that the model was calibrated on; linear between the calibrated levels.
+  /// Throws Error(kInvalidArgument) where the model was not calibrated or not for such a p.
+  [[nodiscard]] FlowInterval interval(double p) const;
 };
 
 /// The scalar map that tasks use: the 2-norm of `uncertainty` over the axes, height x width.

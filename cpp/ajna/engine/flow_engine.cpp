@@ -91,6 +91,7 @@ void copy_plane(const torch::Tensor& plane, std::vector<float>& out) {
 struct FlowEngine::Impl {
   std::unique_ptr<Predictor> predictor;
   ModelInfo info;
+  std::shared_ptr<const ConformalFactors> conformal;  // null where the model is not calibrated
   torch::Device device{torch::kCPU};
   std::int64_t max_pixels = 0;
 
@@ -138,6 +139,7 @@ void FlowEngine::Impl::infer(const std::vector<FramePair>& pairs, FlowField* res
       field.width = pairs[i].frame1.width;
       field.height = pairs[i].frame1.height;
       field.timestamp_s = pairs[i].timestamp_s;
+      field.conformal = conformal;
       copy_plane(output.flow[n], field.flow);
       copy_plane(output.uncertainty[n], field.uncertainty);
       copy_plane(output.expected_error[n], field.expected_error);
@@ -197,7 +199,15 @@ FlowEngine FlowEngine::load(const std::string& path, const EngineOptions& option
                  {"skip_connections", metadata.net.skip_connections},
                  {"scale_heads", metadata.net.scale_heads},
                  {"correlation_radius", metadata.net.correlation_radius}},
-                metadata.provenance};
+                metadata.provenance,
+                metadata.calibration.has_value(),
+                {},
+                {}};
+  if (metadata.calibration) {
+    impl->conformal = std::make_shared<const ConformalFactors>(metadata.calibration->factors);
+    impl->info.interval_levels = impl->conformal->levels;
+    impl->info.calibration = metadata.calibration->provenance;
+  }
   // Last, so that a failed load leaves the process as it was.
   if (options.threads > 0) {
     at::set_num_threads(options.threads);

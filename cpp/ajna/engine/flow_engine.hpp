@@ -32,6 +32,9 @@ struct ModelInfo {
   std::int64_t stride = 1;                        ///< sides are padded to a multiple of this
   std::map<std::string, std::int64_t> network;    ///< the options of nn::NetConfig by name
   std::map<std::string, std::string> provenance;  ///< data, steps, date ...: free text
+  bool calibrated = false;              ///< whether expected errors and intervals were fitted on held-out data
+  std::vector<double> interval_levels;  ///< shares that FlowField::interval was calibrated for; else empty
+  std::map<std::string, std::string> calibration;  ///< data, images, pixels, date ... of the calibration; else empty
 };
 
 struct FramePair {

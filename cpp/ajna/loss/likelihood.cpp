@@ -23,6 +23,7 @@ std::optional<Power> power_of(const std::string& f, std::int64_t channels) {
   const auto d = static_cast<double>(channels);
   if (f == "l1") return Power{Family::kLaplace, 1.0, 1.0};
   if (f == "l2" && channels == 1) return Power{Family::kLaplace, 1.0, 1.0};
+  if (f == "l2") return Power{Family::kRadial, 1.0, d};
   if (f == "squared_error") return Power{Family::kGaussian, 2.0, 1.0};
   if (f == "squared_l2") return Power{Family::kGaussian, 2.0, d};
   return std::nullopt;
@@ -49,6 +50,26 @@ Tensor log_normaliser(const Tensor& c) {
 Tensor angular_cdf(const Tensor& x, const Tensor& c) {
   const auto angle = x.clamp(0.0, kPi);
   return (1.0 - (-c * angle).exp() * (c * angle.sin() + angle.cos())) / (1.0 + (-kPi * c).exp());
+}
+
+/// P(length <= x) of a spherical Laplace distribution: the length is Gamma distributed with shape d.
+Tensor radial_cdf(const Tensor& x, const Tensor& b, double d) {
+  const auto ratio = (x / b).clamp_min(0.0);
+  return torch::special_gammainc(torch::full_like(ratio, d), ratio);
+}
+
+/// Where the rising `cdf` passes `share`, by halving [0, high].
+template <typename Cdf>
+Tensor invert(const Cdf& cdf, const Tensor& share, Tensor high) {
+  auto low = torch::zeros_like(high);
+  constexpr int kHalvings = 60;  // high / 2^60 is below float64's resolution
+  for (int i = 0; i < kHalvings; ++i) {
+    const auto middle = 0.5 * (low + high);
+    const auto below = cdf(middle) < share;
+    low = torch::where(below, middle, low);
+    high = torch::where(below, high, middle);
+  }
+  return 0.5 * (low + high);
 }
 
 void check_share(double low, double high) {
@@ -98,6 +119,8 @@ std::string Likelihood::name() const {
       return "Laplace";
     case Family::kGaussian:
       return "Gaussian";
+    case Family::kRadial:
+      return "spherical Laplace";
     case Family::kAngular:
       break;
   }
@@ -110,6 +133,7 @@ Tensor Likelihood::scale(const Tensor& raw) const {
   auto h = loss_.attenuation(raw);
   switch (family_) {
     case Family::kLaplace:
+    case Family::kRadial:
       return factor_ / h;
     case Family::kGaussian:
       return (0.5 * factor_ / h).sqrt();
@@ -127,18 +151,20 @@ Tensor Likelihood::nll(const Tensor& prediction, const Tensor& raw, const Tensor
   const auto s = scale(raw);
   const auto p = prediction.to(s.scalar_type()), t = target.to(s.scalar_type());
   const auto error = make_error_term(loss_.config().f).value(p, t);
+  const bool joint = family_ == Family::kRadial || loss_.config().f.name == "squared_l2";
+  const double d = joint ? static_cast<double>(p.size(1)) : 1.0;
+  if (joint && p.size(1) != channels_) {
+    throw_invalid("prediction has " + std::to_string(p.size(1)) + " channels, the likelihood was asked for " +
+                  std::to_string(channels_) + ": pass channels=" + std::to_string(p.size(1)));
+  }
   switch (family_) {
     case Family::kLaplace:
       return error / s + (2.0 * s).log();
-    case Family::kGaussian: {
-      const bool joint = loss_.config().f.name == "squared_l2";
-      const double d = joint ? static_cast<double>(p.size(1)) : 1.0;
-      if (joint && p.size(1) != channels_) {
-        throw_invalid("prediction has " + std::to_string(p.size(1)) + " channels, the likelihood was asked for " +
-                      std::to_string(channels_) + ": pass channels=" + std::to_string(p.size(1)));
-      }
+    case Family::kGaussian:
       return 0.5 * error / s.square() + d * (s.log() + 0.5 * std::log(2.0 * kPi));
-    }
+    case Family::kRadial:
+      // The surface of the unit sphere, 2 pi^(d/2) / Gamma(d/2), times the integral of r^(d-1) exp(-r), Gamma(d).
+      return error / s + d * s.log() + std::log(2.0) + 0.5 * d * std::log(kPi) - std::lgamma(0.5 * d) + std::lgamma(d);
     case Family::kAngular:
       break;
   }
@@ -146,6 +172,25 @@ Tensor Likelihood::nll(const Tensor& prediction, const Tensor& raw, const Tensor
     throw_invalid("angular likelihood of " + std::to_string(p.size(1)) + " channels: it is for directions of 3");
   }
   return error * s + log_normaliser(s);
+}
+
+Tensor Likelihood::crps(const Tensor& prediction, const Tensor& raw, const Tensor& target) const {
+  if (family_ == Family::kAngular || family_ == Family::kRadial) {
+    throw_invalid("the CRPS of the " + name() + " distribution (f = " + loss_.config().f.name +
+                  ") has no closed form per component: use its nll");
+  }
+  if (prediction.sizes() != target.sizes()) {
+    throw_invalid("prediction " + c10::str(prediction.sizes()) + " and target " + c10::str(target.sizes()) +
+                  " differ in shape: give tensors of one shape");
+  }
+  const auto s = scale(raw);
+  const auto z = (target.to(s.scalar_type()) - prediction.to(s.scalar_type())).abs() / s;
+  if (family_ == Family::kLaplace) {
+    return s * (z + (-z).exp() - 0.75);
+  }
+  constexpr double kInverseSqrtPi = 0.5641895835477563;
+  const auto density = (-0.5 * z.square()).exp() / std::sqrt(2.0 * kPi);
+  return s * (z * (2.0 * torch::special_ndtr(z) - 1.0) + 2.0 * density - kInverseSqrtPi);
 }
 
 Tensor Likelihood::cdf(const Tensor& x, const Tensor& raw) const {
@@ -158,6 +203,8 @@ Tensor Likelihood::cdf(const Tensor& x, const Tensor& raw) const {
     }
     case Family::kGaussian:
       return torch::special_ndtr(value / s);
+    case Family::kRadial:
+      return radial_cdf(value, s, static_cast<double>(channels_));
     case Family::kAngular:
       break;
   }
@@ -175,25 +222,24 @@ Tensor Likelihood::quantile(const Tensor& p, const Tensor& raw) const {
       return -s * (share - 0.5).sign() * torch::log1p(-2.0 * (share - 0.5).abs());
     case Family::kGaussian:
       return s * torch::special_ndtri(share);
+    case Family::kRadial: {
+      // Linear in b: invert once per share, at b = 1. The Gamma tail beyond the bound is below exp(-50).
+      const torch::NoGradGuard no_grad;
+      const double d = static_cast<double>(channels_);
+      const auto one = torch::ones_like(share);
+      return s * invert([&](const Tensor& x) { return radial_cdf(x, one, d); }, share, (10.0 * d + 100.0) * one);
+    }
     case Family::kAngular:
       break;
   }
   const torch::NoGradGuard no_grad;
-  auto low = torch::zeros_like(share + s), high = torch::full_like(low, kPi);
-  constexpr int kHalvings = 60;  // pi / 2^60 is below float64's resolution
-  for (int i = 0; i < kHalvings; ++i) {
-    const auto middle = 0.5 * (low + high);
-    const auto below = angular_cdf(middle, s) < share;
-    low = torch::where(below, middle, low);
-    high = torch::where(below, high, middle);
-  }
-  return 0.5 * (low + high);
+  return invert([&](const Tensor& x) { return angular_cdf(x, s); }, share, torch::full_like(share + s, kPi));
 }
 
 std::pair<Tensor, Tensor> Likelihood::interval(double p, const Tensor& raw) const {
   check_share(p, p);
   const auto at = [&](double share) { return quantile(torch::tensor(share, torch::kFloat64), raw); };
-  if (family_ == Family::kAngular) {
+  if (family_ == Family::kAngular || family_ == Family::kRadial) {
     auto high = at(p);
     return {torch::zeros_like(high), high};
   }

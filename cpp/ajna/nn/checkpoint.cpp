@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: MIT
 #include "ajna/nn/checkpoint.hpp"
 
+#include <algorithm>
 #include <array>
 #include <charconv>
 #include <cmath>
 #include <filesystem>
 #include <utility>
+#include <vector>
 
 #include "ajna/base/error.hpp"
 #include "ajna/nn/random_state_guard.hpp"
@@ -19,6 +21,8 @@ constexpr const char* kVersion = "1";
 constexpr const char* kUncertaintyName = "table.uncertainty";
 constexpr const char* kExpectedErrorName = "table.expected_error";
 constexpr const char* kProvenance = "provenance.";
+constexpr const char* kCalibration = "calibration.";
+constexpr const char* kCalibrationVersion = "1";
 constexpr std::int64_t kMaxChannels = 4096;
 
 using Strings = std::map<std::string, std::string>;
@@ -34,6 +38,8 @@ constexpr std::array<std::pair<const char*, std::int64_t NetConfig::*>, 3> kNetE
     {{"net.skip_connections", &NetConfig::skip_connections},
      {"net.scale_heads", &NetConfig::scale_heads},
      {"net.correlation_radius", &NetConfig::correlation_radius}}};
+
+constexpr std::array<const char*, 2> kFactors{"calibration.factors_u", "calibration.factors_v"};
 
 std::string number_text(double value) {
   std::array<char, 32> text{};
@@ -54,14 +60,97 @@ std::string take(Strings& strings, const std::string& key) {
 }
 
 template <typename Number>
-Number take_number(Strings& strings, const std::string& key) {
-  const std::string text = take(strings, key);
+Number to_number(const std::string& text, const std::string& key) {
   Number value{};
   const auto [end, failure] = std::from_chars(text.data(), text.data() + text.size(), value);
   if (failure != std::errc() || end != text.data() + text.size()) {
     throw_invalid("metadata '" + key + "' is '" + text.substr(0, 40) + "', not a number");
   }
   return value;
+}
+
+template <typename Number>
+Number take_number(Strings& strings, const std::string& key) {
+  return to_number<Number>(take(strings, key), key);
+}
+
+/// Numbers with one space between them.
+std::vector<double> take_numbers(Strings& strings, const std::string& key) {
+  const std::string text = take(strings, key);
+  std::vector<double> numbers;
+  for (std::size_t begin = 0; begin <= text.size();) {
+    const std::size_t end = std::min(text.find(' ', begin), text.size());
+    numbers.push_back(to_number<double>(text.substr(begin, end - begin), key));
+    begin = end + 1;
+  }
+  return numbers;
+}
+
+std::string numbers_text(const std::vector<double>& numbers) {
+  std::string text;
+  for (const double number : numbers) {
+    if (!text.empty()) {
+      text += ' ';
+    }
+    text += number_text(number);
+  }
+  return text;
+}
+
+/// Moves what `strings` holds under `prefix`, which is left out, to the result.
+Strings take_group(Strings& strings, const std::string& prefix) {
+  Strings group;
+  for (auto item = strings.lower_bound(prefix);
+       item != strings.end() && item->first.compare(0, prefix.size(), prefix) == 0;) {
+    group.emplace(item->first.substr(prefix.size()), std::move(item->second));
+    item = strings.erase(item);
+  }
+  return group;
+}
+
+void put_calibration(const Calibration& calibration, Strings& strings) {
+  const std::string prefix = kCalibration;
+  strings[prefix + "version"] = kCalibrationVersion;
+  strings[prefix + "levels"] = numbers_text(calibration.factors.levels);
+  for (std::size_t axis = 0; axis < kFactors.size(); ++axis) {
+    std::vector<double> factors;
+    for (const auto& pair : calibration.factors.factors) {
+      factors.push_back(pair[axis]);
+    }
+    strings[kFactors[axis]] = numbers_text(factors);
+  }
+  for (const auto& [key, value] : calibration.provenance) {
+    strings[prefix + kProvenance + key] = value;
+  }
+}
+
+/// Nothing where no key speaks of calibration. Leaves unknown keys behind.
+std::optional<Calibration> take_calibration(Strings& strings) {
+  const std::string prefix = kCalibration;
+  const auto first = strings.lower_bound(prefix);
+  if (first == strings.end() || first->first.compare(0, prefix.size(), prefix) != 0) {
+    return std::nullopt;
+  }
+  if (const std::string version = take(strings, prefix + "version"); version != kCalibrationVersion) {
+    throw_invalid("its calibration has version '" + version.substr(0, 40) + "' but this program reads version '" +
+                  kCalibrationVersion + "': update ajna or calibrate the model again");
+  }
+  Calibration calibration;
+  calibration.factors.levels = take_numbers(strings, prefix + "levels");
+  calibration.factors.factors.resize(calibration.factors.levels.size());
+  for (std::size_t axis = 0; axis < kFactors.size(); ++axis) {
+    const auto factors = take_numbers(strings, kFactors[axis]);
+    if (factors.size() != calibration.factors.levels.size()) {
+      throw_invalid("metadata '" + std::string(kFactors[axis]) + "' has " + std::to_string(factors.size()) +
+                    " numbers for " + std::to_string(calibration.factors.levels.size()) + " levels");
+    }
+    for (std::size_t i = 0; i < factors.size(); ++i) {
+      calibration.factors.factors[i][axis] = factors[i];
+    }
+  }
+  calibration.provenance = take_group(strings, prefix + kProvenance);
+  calibration.check();
+  return calibration;
 }
 
 void check_scalars(const Metadata& metadata) {
@@ -161,6 +250,10 @@ std::map<std::string, std::string> metadata_to_strings(const Metadata& metadata)
   for (const auto& [key, value] : metadata.provenance) {
     strings[kProvenance + key] = value;
   }
+  if (metadata.calibration) {
+    metadata.calibration->check();
+    put_calibration(*metadata.calibration, strings);
+  }
   return strings;
 }
 
@@ -188,12 +281,10 @@ Metadata metadata_from_strings(const std::map<std::string, std::string>& strings
       metadata.net.*option = take_number<std::int64_t>(rest, key);
     }
   }
-  const std::string prefix = kProvenance;
-  for (auto& [key, value] : rest) {
-    if (key.compare(0, prefix.size(), prefix) != 0) {
-      throw_invalid("metadata '" + key.substr(0, 40) + "' is unknown to version " + kVersion);
-    }
-    metadata.provenance.emplace(key.substr(prefix.size()), std::move(value));
+  metadata.provenance = take_group(rest, kProvenance);
+  metadata.calibration = take_calibration(rest);
+  if (!rest.empty()) {
+    throw_invalid("metadata '" + rest.begin()->first.substr(0, 40) + "' is unknown to version " + kVersion);
   }
   check_scalars(metadata);
   return metadata;

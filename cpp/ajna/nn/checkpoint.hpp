@@ -2,8 +2,10 @@
 #pragma once
 
 #include <map>
+#include <optional>
 #include <string>
 
+#include "ajna/nn/calibration.hpp"
 #include "ajna/nn/flow_net.hpp"
 #include "ajna/nn/net_config.hpp"
 #include "ajna/nn/uncertainty_table.hpp"
@@ -18,6 +20,8 @@ struct Metadata {
   std::string loss;                               ///< the loss it was trained with, one line, for people
   UncertaintyTable table;                         ///< what raw means
   std::map<std::string, std::string> provenance;  ///< data, steps, code version, date, scores ...: free text
+  /// Where the table's expected_error was fitted on held-out data: the intervals that go with it.
+  std::optional<Calibration> calibration;
 };
 
 /// A network in eval mode, in float32 on the CPU, with its metadata.
@@ -40,7 +44,9 @@ void save_checkpoint(const std::string& path, const FlowNetImpl& net, const Meta
 Checkpoint load_checkpoint(const std::string& path);
 
 /// The metadata (without the curves of the table) as flat strings, as both file formats carry them: "format",
-/// "version", "name", "loss", "flow_scale", "net.<option>", "table.raw_min", "table.raw_step", "provenance.<key>".
+/// "version", "name", "loss", "flow_scale", "net.<option>", "table.raw_min", "table.raw_step", "provenance.<key>", and,
+/// where calibrated, "calibration.version", "calibration.levels", "calibration.factors_u", "calibration.factors_v" and
+/// "calibration.provenance.<key>".
 std::map<std::string, std::string> metadata_to_strings(const Metadata& metadata);
 /// The inverse; strict. The curves of the result's table are undefined.
 Metadata metadata_from_strings(const std::map<std::string, std::string>& strings);

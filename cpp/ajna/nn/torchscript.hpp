@@ -7,7 +7,7 @@
 
 namespace ajna::nn {
 
-/// Name of the extra file inside an exported script: metadata_to_strings() as a flat JSON object.
+/// Name of the extra file inside an exported script: metadata_to_strings() as a flat JSON object, calibration included.
 inline constexpr const char* kScriptMetadataFile = "ajna.json";
 
 /// Write `net` as a frozen TorchScript file that needs nothing of Ajna to run, with two methods:

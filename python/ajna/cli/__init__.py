@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The command line: ``ajna predict | video | evaluate | export | info``.
+"""The command line: ``ajna predict | video | evaluate | calibrate | export | info | losses``.
 
 Commands import what is heavy (torch, OpenCV, matplotlib) inside their functions, so that ``--help`` is quick. They
 raise ordinary exceptions; :func:`ajna.cli.errors.run` alone turns those into one sentence and an exit code.
@@ -15,6 +15,7 @@ import typer
 
 from ajna.cli import errors
 from ajna.cli.bench import bench
+from ajna.cli.calibrate import calibrate
 from ajna.cli.evaluate import evaluate
 from ajna.cli.export import export
 from ajna.cli.info import info
@@ -31,7 +32,7 @@ app = typer.Typer(
     help="Optical flow and its per-pixel uncertainty in one pass.",
     epilog="Example: ajna predict frame1.png frame2.png --out result",
 )
-for _command in (predict, video, evaluate, export, info, losses):
+for _command in (predict, video, evaluate, calibrate, export, info, losses):
     app.command()(_command)
 app.add_typer(bench, name="bench")
 app.add_typer(study)

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from ajna.baselines import FlowMethod
+    from ajna.calibration import HeldOut
     from ajna.data.frame_pair import FramePair
     from ajna.evaluation import Evaluation, MethodReport, Scores
 
@@ -32,6 +33,7 @@ _COLUMNS = {
     "ause": ("AUSE", "{:.3f}"),
     "rho": ("rho", "{:.2f}"),
     "occlusion_auc": ("AUC", "{:.2f}"),
+    "motion_boundary_auc": ("edges", "{:.2f}"),
     "run_time_ms": ("ms", "{:.1f}"),
 }
 
@@ -41,7 +43,8 @@ _LEGEND = (
     "EPE: mean end-point error per image, px at the scored size; zero: that of zero flow; ratio: EPE / zero. "
     "Fl-all: pixels off by over 3 px and 5 %. "
     "AUSE: mean EPE of the kept pixels over the full mean, 50 bins, per image, area to the oracle. "
-    "rho: Spearman correlation of uncertainty and error. AUC: ROC AUC of the uncertainty for occlusion. "
+    "rho: Spearman correlation of uncertainty and error. AUC: ROC AUC of the uncertainty for occlusion; "
+    "edges: for motion boundaries. "
     "ms: median time of flow and uncertainty."
 )
 
@@ -184,8 +187,11 @@ def print_tables(result: Evaluation, console: Console, root: Path) -> None:
     if result.uncertainty_only:
         console.print(
             f"* {', '.join(result.uncertainty_only)}: extreme motion, for judging uncertainty only; "
-            "the means of EPE, zero flow, their ratio and Fl-all leave it out."
+            "the means of EPE, zero flow, their ratio, Fl-all and other figures in pixels leave it out."
         )
+    for name, report in result.methods.items():
+        if report.calibration is not None:
+            console.print(f"{name}: {_calibration_line(report.calibration)}")
     if result.excluded:
         console.print(f"excluded: {', '.join(result.excluded)}")
     if result.bad:
@@ -200,6 +206,13 @@ def _means(report: MethodReport) -> list[tuple[str, Scores]]:
     if report.mean_without_excluded is not None:
         rows.append(("mean without excluded", report.mean_without_excluded))
     return rows
+
+
+def _calibration_line(figures: HeldOut) -> str:
+    curve = figures.coverage
+    shares = zip(curve.levels.tolist(), curve.coverage.tolist(), curve.width.tolist(), strict=True)
+    intervals = "; ".join(f"{level:.0%}: {share:.1%}, {width:.1f} px" for level, share, width in shares)
+    return f"expected error off by {figures.reliability.ece.item():.2f} px (ECE); intervals hold, are wide: {intervals}"
 
 
 def _cells(scores: Scores) -> list[str]:
@@ -234,4 +247,9 @@ def _write_results(folder: Path, record: dict[str, Any], result: Evaluation) -> 
     io.write_image(
         folder / "sparsification.png", viz.sparsification_plot(curves, "Sparsification, mean over the pairs")
     )
+    calibrated = {name: report.calibration for name, report in result.methods.items() if report.calibration is not None}
+    if calibrated:
+        from ajna.calibration import reliability_plot
+
+        io.write_image(folder / "reliability.png", reliability_plot(calibrated, "Calibration over all pairs"))
     (folder / "evaluation.json").write_text(json.dumps(record, indent=2))

@@ -91,6 +91,7 @@ def _models() -> list[dict[str, Any]]:
                 "loss": card["loss"],
                 "flow_scale": card["flow_scale"],
                 "provenance": card["provenance"],
+                "calibration": None if card["calibration"] is None else card["calibration"].provenance,
             }
         )
     return models
@@ -117,6 +118,9 @@ def _print(record: dict[str, Any]) -> None:
         )
         for key, value in model["provenance"].items():
             table.add_row("", f"{key}: {value}")
+        calibration = model["calibration"]
+        calibrated = "no" if calibration is None else ", ".join(f"{key} {value}" for key, value in calibration.items())
+        table.add_row("", f"calibrated: {calibrated}")
     if not record["models"]:
         table.add_row("models", "none shipped with this build")
     screen = Console(highlight=False, markup=False)
