@@ -222,16 +222,16 @@ def test_scenes_are_the_same_every_time_and_held_out() -> None:
     small = {"bank_size": 8, "texture_size": 64}
     first, again = (SyntheticScenes(3, *SIZE, seed=4, scene=small) for _ in range(2))
     pair, same = first[1], again[1]
-    assert first.names == ("scene_0000", "scene_0001", "scene_0002") and pair.size == SIZE
+    assert first.names == ("scene_00000", "scene_00001", "scene_00002") and pair.size == SIZE
     assert np.array_equal(pair.frame1, same.frame1) and np.array_equal(pair.flow, same.flow)
     assert not np.array_equal(pair.frame1, first[2].frame1)
     assert not np.array_equal(pair.frame1, SyntheticScenes(3, *SIZE, seed=5, scene=small)[1].frame1)
     assert pair.valid.all() and pair.occlusion.dtype == pair.motion_boundary.dtype == bool
     assert pair.flow.shape == (SIZE[1], SIZE[0], 2) and pair.flow.dtype == np.float32
     for options, message in (
-        ({"count": 0}, "0 scenes: give 1 to"),
-        ({"seed": -1}, "scene seed -1: give 0 to"),
-        ({"width": 0}, "size 0x240 is not a picture"),
+        ({"count": 0}, "0 scenes of 320x240 with seed 0: give at least 1"),
+        ({"seed": -1}, "with seed -1: give at least"),
+        ({"width": 0}, "scenes of 0x240"),
         ({"scene": {"bank_sise": 3}}, "unknown scene option 'bank_sise', did you mean 'bank_size'"),
     ):
         with pytest.raises(ValueError, match=message):

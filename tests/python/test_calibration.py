@@ -83,19 +83,6 @@ def test_equal_input_gives_equal_output(anxious: Path, scenes, result: calibrati
     assert not torch.equal(other.metadata.table.expected_error, result.metadata.table.expected_error)
 
 
-def test_scenes_follow_from_the_seed() -> None:
-    first, again, second = (calibration.SyntheticScenes(3, 16, 8, seed=seed, scene=SCENE) for seed in (0, 0, 1))
-    pair, same = first.read(2), again.read(2)
-    assert np.array_equal(pair.frame1, same.frame1) and np.array_equal(pair.flow, same.flow)
-    assert not np.array_equal(pair.frame1, first.read(1).frame1)
-    assert not np.array_equal(pair.frame1, second.read(2).frame1)
-    assert pair.size == (16, 8) and pair.motion_boundary is not None and pair.valid is not None and pair.valid.all()
-    with pytest.raises(IndexError):
-        first.read(3)
-    with pytest.raises(ValueError, match="0 scenes"):
-        calibration.SyntheticScenes(0)
-
-
 def test_split_is_disjoint_and_keeps_groups() -> None:
     names = [f"video{k // 7}/frame{k}" for k in range(70)]
     plain = split(names)

@@ -27,6 +27,6 @@ exchangeable, which they are not: its factors are averages, without a guarantee.
 from ajna.calibration.fitting import DEFAULT_LEVELS, CalibrationResult, PairSource, fit
 from ajna.calibration.held_out import HeldOut
 from ajna.calibration.plot import reliability_plot
-from ajna.calibration.scenes import SyntheticScenes
+from ajna.data.synthetic import SyntheticScenes
 
 __all__ = ["DEFAULT_LEVELS", "CalibrationResult", "HeldOut", "PairSource", "SyntheticScenes", "fit", "reliability_plot"]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Generated scenes as a data set for scoring: exact flow, occlusion and motion boundaries, no files."""
+"""Generated scenes as a data set for scoring and calibration: exact flow, occlusion and motion boundaries, no files."""
 
 from __future__ import annotations
 
@@ -13,25 +13,31 @@ from ajna import synth
 from ajna.data.dataset import FlowDataset
 from ajna.data.frame_pair import FramePair
 
-# Training seeds lie below 2**62, and so do the seeds of the texture banks they use.
-_HELD_OUT = 1 << 62
-_SEEDS = 1 << 20  # data sets, and scenes in one
+_HELD_OUT_BIT = 1 << 63  # training seeds lie below 2**62, validation seeds below 2**63: no scene is shared with them
+
+
+def _seed(run_seed: int, number: int) -> int:
+    state = np.random.SeedSequence([run_seed, number]).generate_state(1, np.uint64)
+    return _HELD_OUT_BIT | int(state[0]) >> 1
 
 
 class SyntheticScenes(FlowDataset):
-    """Scenes of `ajna.synth` that no training run sees: seeds and textures are kept apart from those of training.
+    """Scenes of `ajna.synth` that no training or validation run sees: seeds and textures are kept apart from theirs.
 
-    A scene is made when it is asked for, and is the same every time.
+    A scene is made when it is asked for, and is the same every time on a CPU.
 
     Args:
         count: number of scenes.
         width, height: pixels.
-        seed: which scenes; 0 to 2**20 - 1.
+        seed: of scenes and textures, not negative.
         motion: multiplies the configured displacements.
+        photos: folder with photographs to cut textures from, beside the procedural ones.
+        photo_count: textures cut from them.
         scene: options of `ajna.synth.SceneConfig` that differ from its defaults.
 
     Raises:
         ValueError: an option out of range, or an unknown scene option.
+        FileNotFoundError: no such folder of photographs.
     """
 
     title = "synthetic scenes"
@@ -43,25 +49,40 @@ class SyntheticScenes(FlowDataset):
         height: int = 240,
         seed: int = 0,
         motion: float = 1.0,
+        photos: str | Path | None = None,
+        photo_count: int = 128,
         scene: Mapping[str, Any] | None = None,
     ) -> None:
-        if not 1 <= count <= _SEEDS:
-            raise ValueError(f"{count} scenes: give 1 to {_SEEDS}.")
-        if not 0 <= seed < _SEEDS:
-            raise ValueError(f"scene seed {seed}: give 0 to {_SEEDS - 1}.")
-        if width < 1 or height < 1:
-            raise ValueError(f"size {width}x{height} is not a picture; both sides must be at least 1 pixel.")
-        super().__init__("synthetic", [f"scene_{index:04d}" for index in range(count)])
+        if count < 1 or width < 1 or height < 1 or seed < 0:
+            raise ValueError(
+                f"{count} scenes of {width}x{height} with seed {seed}: give at least 1 scene and pixel, and a seed >= 0."
+            )
+        super().__init__("synthetic", [f"scene_{index:05d}" for index in range(count)])
         self.width, self.height, self.seed, self.motion = width, height, seed, motion
+        self.photos, self.photo_count = photos, photo_count
+        self._options = dict(scene or {})
         self._config = synth.scene_config(scene)
+        if photos is not None and not Path(photos).is_dir():
+            raise FileNotFoundError(f"photograph folder '{photos}' does not exist: give a folder of .jpg or .png files")
         self._generator: synth.PairGenerator | None = None
+
+    def describe(self) -> str:
+        """One line for a model card."""
+        options = "".join(f", {name}={value}" for name, value in self._options.items())
+        return f"synthetic scenes {'with' if self.photos else 'without'} photographs, seed {self.seed}{options}"
+
+    def _made(self) -> synth.PairGenerator:
+        if self._generator is None:  # the texture bank takes a second, and memory
+            bank_seed, cuts = _seed(self.seed, 0), None
+            if self.photos is not None:
+                cuts = synth.load_photos(self.photos, self.photo_count, self._config.texture_size, bank_seed)
+            self._generator = synth.PairGenerator(self._config, bank_seed, "cpu", cuts)
+        return self._generator
 
     def read(self, index: int) -> FramePair:
         """Scene `index`, at `width` x `height`."""
-        if self._generator is None:  # the texture bank takes a second, and memory
-            self._generator = synth.PairGenerator(self._config, bank_seed=_HELD_OUT + self.seed)
-        seed = _HELD_OUT + self.seed * _SEEDS + index
-        made = self._generator(1, self.height, self.width, seed, self.motion)
+        index = range(len(self))[index]
+        made = self._made()(1, self.height, self.width, _seed(self.seed, index + 1), self.motion)
         frame1, frame2, flow = (
             np.ascontiguousarray(item[0].permute(1, 2, 0).numpy()) for item in (made.frame1, made.frame2, made.flow)
         )
