@@ -37,6 +37,8 @@ void bind_flow_net(py::module_& m) {
            "As forward, without padding: both sides are multiples of config.stride.")
       .def("forward_scales", &FlowNetImpl::forward_scales, "x"_a, py::call_guard<py::gil_scoped_release>(),
            "The predictions from coarse to fine, the last at full size; sides are multiples of config.stride.")
+      .def("forward_scales_and_layers", &FlowNetImpl::forward_scales_and_layers, "x"_a,
+           py::call_guard<py::gil_scoped_release>(), "(forward_scales(x), forward_layers(x)) of one pass.")
       .def("forward_layers", &FlowNetImpl::forward_layers, "x"_a, py::call_guard<py::gil_scoped_release>(),
            "What each layer gives, first to last; both sides are multiples of config.stride.")
       .def(

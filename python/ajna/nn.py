@@ -175,6 +175,11 @@ class FlowNet(_Part):
         self._check_bound()
         return self._core.forward_layers(x)
 
+    def forward_scales_and_layers(self, x: Tensor) -> tuple[list[Tensor], list[Tensor]]:
+        """:meth:`forward_scales` and :meth:`forward_layers` of one pass."""
+        self._check_bound()
+        return self._core.forward_scales_and_layers(x)
+
     def _check_bound(self) -> None:
         for table, name, tensor in self._bound:
             if table.get(name) is not tensor:

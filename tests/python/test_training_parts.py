@@ -253,3 +253,29 @@ def test_scenes_of_a_stage_take_its_own_options() -> None:
     assert [data.generator(stage).config.layers for stage in stages] == [0, 1]
     with pytest.raises(ValueError, match="layers"):
         SyntheticData([Stage(0, 8, 8, 1, scene={"layer": 0})])
+
+
+def test_every_scale_is_trained_on_the_averaged_truth() -> None:
+    torch.manual_seed(3)
+    quiet = GuidanceOptions(motion_energy=False, heads_weight=0.0)
+    options = NetOptions(width=8, scale_heads=True, skip_connections=True)
+    frames = {name: torch.randint(0, 256, (2, 3, 32, 48), dtype=torch.uint8) for name in ("frame1", "frame2")}
+    batch = {**frames, "flow": torch.randn(2, 2, 32, 48), "valid": torch.rand(2, 1, 32, 48) < 0.7}
+    module = FlowModule(options, LossOptions(l1_steps=0, blend_steps=0, coarser_weight=0.5), guidance=quiet)
+    module.net.eval()
+    output, loss = module.forward_loss(batch, 10)
+    coarse4, coarse2, full = module.net.forward_scales(module._input(batch["frame1"], batch["frame2"]))
+    assert torch.equal(full, output)
+    expected = module.objective(full, batch, 10)
+    for weight, scale in ((0.5, coarse2), (0.25, coarse4)):
+        cells, side = scale.shape[-2:], 32 // scale.shape[-2]
+        share = torch.nn.functional.avg_pool2d(batch["valid"].float(), side)
+        total = torch.nn.functional.avg_pool2d(torch.where(batch["valid"], batch["flow"], 0.0), side)
+        truth = {"flow": total / share.clamp_min(1e-6), "valid": share >= 0.5}
+        assert truth["flow"].shape[-2:] == cells
+        expected = expected + weight * module.objective(scale, truth, 10)
+    torch.testing.assert_close(loss, expected)
+    loss.backward()
+    assert all(p.grad is not None and p.grad.isfinite().all() for p in module.net.parameters())
+    with pytest.raises(ValueError, match="multiples of 16"):
+        module.forward_loss({name: x[..., :40] for name, x in batch.items()}, 10)

@@ -3,6 +3,7 @@
 
 #include <array>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "ajna/base/error.hpp"
@@ -119,9 +120,14 @@ torch::Tensor FlowNetImpl::forward_aligned(const torch::Tensor& x) { return run(
 std::vector<torch::Tensor> FlowNetImpl::forward_scales(const torch::Tensor& x) { return run(x, nullptr); }
 
 std::vector<torch::Tensor> FlowNetImpl::forward_layers(const torch::Tensor& x) {
-  std::vector<torch::Tensor> activations;
-  run(x, &activations);
-  return activations;
+  return forward_scales_and_layers(x).second;
+}
+
+std::pair<std::vector<torch::Tensor>, std::vector<torch::Tensor>> FlowNetImpl::forward_scales_and_layers(
+    const torch::Tensor& x) {
+  std::vector<torch::Tensor> layers;
+  auto scales = run(x, &layers);
+  return {std::move(scales), std::move(layers)};
 }
 
 std::int64_t count_parameters(const torch::nn::Module& module) {

@@ -3,6 +3,7 @@
 
 #include <torch/torch.h>
 
+#include <utility>
 #include <vector>
 
 #include "ajna/nn/net_config.hpp"
@@ -65,6 +66,8 @@ class FlowNetImpl : public torch::nn::Module {
   /// Output and inner activations, for training with auxiliary losses: what each layer gives, from the first
   /// convolution to the last, so that back() is the output. Both sides must be multiples of config().stride().
   std::vector<torch::Tensor> forward_layers(const torch::Tensor& x);
+  /// forward_scales and forward_layers of one pass.
+  std::pair<std::vector<torch::Tensor>, std::vector<torch::Tensor>> forward_scales_and_layers(const torch::Tensor& x);
 
   [[nodiscard]] const NetConfig& config() const noexcept { return config_; }
 

@@ -10,6 +10,7 @@ coarse flow. Neither changes the network's shape.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
@@ -79,11 +80,21 @@ class FlowHeads(nn.Module):
         total = target.new_zeros(())
         for place, head in zip(self.places, self.heads, strict=True):
             coarse = head(activations[place]).float()
-            pool = nn.AdaptiveAvgPool2d(coarse.shape[-2:])
-            if valid is None:
-                total = total + (coarse - pool(target)).abs().mean()
-                continue
-            share = pool(valid.to(target.dtype))
-            mean = pool(torch.where(valid, target, 0.0)) / share.clamp_min(1e-6)
-            total = total + ((coarse - mean).abs() * share).sum() / (2 * share.sum()).clamp_min(1e-6)
+            mean, share = averaged(target, valid, coarse.shape[-2:])
+            if share is None:
+                total = total + (coarse - mean).abs().mean()
+            else:
+                total = total + ((coarse - mean).abs() * share).sum() / (2 * share.sum()).clamp_min(1e-6)
         return total
+
+
+def averaged(target: Tensor, valid: Tensor | None, size: Sequence[int]) -> tuple[Tensor, Tensor | None]:
+    """``target`` [N, C, H, W] averaged to ``size`` (h, w) over its valid pixels, and their share [N, 1, h, w].
+
+    ``valid`` is bool [N, 1, H, W]; without it the share is None, for all. Where no pixel is valid the average is 0.
+    """
+    pool = nn.AdaptiveAvgPool2d(tuple(size))
+    if valid is None:
+        return pool(target), None
+    share = pool(valid.to(target.dtype))
+    return pool(torch.where(valid, target, 0.0)) / share.clamp_min(1e-6), share

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from torch import Tensor
 from ajna.metrics import end_point_error
 from ajna.nn import load_checkpoint, network_input
 from ajna.training.failure import NonFiniteLoss, save_batch
-from ajna.training.guidance import FlowHeads, start_with_motion_energy
+from ajna.training.guidance import FlowHeads, averaged, start_with_motion_energy
 from ajna.training.options import GuidanceOptions, LossOptions, NetOptions, OptimOptions
 from ajna.training.scores import ValidationScores
 
@@ -109,7 +110,7 @@ class FlowModule(pl.LightningModule):
         return network_input(frame1, frame2).contiguous(memory_format=self.memory_format)
 
     def objective(self, output: Tensor, batch: dict[str, Any], step: int) -> Tensor:
-        """The scalar to minimise at ``step``: see LossOptions. ``output`` [N, 4, H, W], float32."""
+        """The scalar to minimise at ``step`` for one scale: see LossOptions. ``output`` [N, 4, H, W], float32."""
         flow, raw = output[:, :2], output[:, 2:]
         target, valid = batch["flow"] / self.flow_scale, batch.get("valid")
         weight = None
@@ -135,22 +136,31 @@ class FlowModule(pl.LightningModule):
         """The optimised network's output [N, 4, H, W], float32, and the scalar to minimise at ``step``, heads included.
 
         Raises:
-            ValueError: heads are in use, and the sides of the frames are no multiples of the network's stride.
+            ValueError: with heads or scales, frames whose sides are no multiples of the network's stride.
         """
         frames = self._input(batch["frame1"], batch["frame2"])
-        if self.heads is None:
+        several = bool(self.net.config.scale_heads)
+        if self.heads is None and not several:
             output = self.net(frames).float()
             return output, self.objective(output, batch, step)
         stride = self.net.config.stride
         if frames.shape[2] % stride or frames.shape[3] % stride:
+            remedy = "" if several else ", or guidance.heads_weight 0"
             raise ValueError(
                 f"training crops of {frames.shape[3]}x{frames.shape[2]}: give sizes whose sides are multiples of "
-                f"{stride}, or guidance.heads_weight 0"
+                f"{stride}{remedy}"
             )
-        activations = self.net.forward_layers(frames)
-        output = activations[-1].float()
-        aid = self.heads.loss(activations, batch["flow"] / self.flow_scale, batch.get("valid"))
-        return output, self.objective(output, batch, step) + self.guidance.weight_at(step) * aid
+        scales, layers = self.net.forward_scales_and_layers(frames)
+        *coarser, output = (scale.float() for scale in scales)
+        loss = self.objective(output, batch, step)
+        weight = 1.0
+        for scale in reversed(coarser):
+            weight *= self.options.coarser_weight
+            loss = loss + weight * self.objective(scale, _coarse(batch, scale.shape[-2:]), step)
+        if self.heads is not None:
+            aid = self.heads.loss(layers, batch["flow"] / self.flow_scale, batch.get("valid"))
+            loss = loss + self.guidance.weight_at(step) * aid
+        return output, loss
 
     def training_step(self, batch: dict[str, Any], batch_idx: int) -> None:
         step, optimizer = self.steps_done, self.optimizers()
@@ -281,6 +291,18 @@ class FlowModule(pl.LightningModule):
             "skipped_steps": str(self.skipped),
             "torch": torch.__version__,
         }
+
+
+def _coarse(batch: dict[str, Any], size: Sequence[int]) -> dict[str, Any]:
+    """The ground truth of ``batch`` at (h, w): flow averaged over its valid pixels, still in pixels of the full size; a
+    cell is valid, or occluded, where half of it is."""
+    mean, share = averaged(batch["flow"], batch.get("valid"), size)
+    coarse: dict[str, Any] = {"flow": mean}
+    if share is not None:
+        coarse["valid"] = share >= 0.5
+    if "occlusion" in batch:
+        coarse["occlusion"] = averaged(batch["occlusion"].float(), None, size)[0] >= 0.5
+    return coarse
 
 
 def _scale_gradient(x: Tensor, factor: float) -> Tensor:

@@ -41,7 +41,8 @@ class LossOptions:
     uncertainty loss's weights still meaningless, hard pixels would be written off), and is handed over to the
     uncertainty loss between ``l1_steps`` and ``l1_steps + blend_steps``; ``l1_share`` of L1 remains for good.
     ``raw_gradient`` scales the raw uncertainty's gradient until the hand-over: below 1, the shared layers first learn
-    to match. ``occluded_weight`` weighs pixels that are hidden in frame 2.
+    to match. ``occluded_weight`` weighs pixels that are hidden in frame 2. With a network that predicts at several
+    scales, each coarser prediction counts ``coarser_weight`` times the next finer one.
     """
 
     f: Term = _LOSS.f.name
@@ -54,6 +55,7 @@ class LossOptions:
     l1_share: float = 0.0
     raw_gradient: float = 1.0
     occluded_weight: float = 1.0
+    coarser_weight: float = 0.5
 
     def __post_init__(self) -> None:
         _require(self.l1_steps >= 0, "loss.l1_steps", self.l1_steps, "give 0 or more")
@@ -61,6 +63,7 @@ class LossOptions:
         _require(0 <= self.l1_share <= 1, "loss.l1_share", self.l1_share, "give 0 to 1")
         _require(self.raw_gradient > 0, "loss.raw_gradient", self.raw_gradient, "give a number above 0")
         _require(self.occluded_weight >= 0, "loss.occluded_weight", self.occluded_weight, "give 0 or more")
+        _require(self.coarser_weight >= 0, "loss.coarser_weight", self.coarser_weight, "give 0 or more")
 
     def build(self) -> UncertaintyLoss:
         return UncertaintyLoss(self.f, self.h, self.g, self.lam, self.parametrization)
