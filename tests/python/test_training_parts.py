@@ -20,7 +20,7 @@ pytest.importorskip("jsonargparse")
 from lightning.pytorch.core.optimizer import LightningOptimizer
 
 from ajna.training import FlowModule, LossOptions, NetOptions, OptimOptions, SceneStream, Stage, SyntheticData
-from ajna.training.options import check_stages
+from ajna.training.options import GuidanceOptions, check_stages
 from ajna.training.run_folder import AtomicCheckpointIO
 from ajna.training.seeds import training_seed, validation_seed
 from ajna.training.stream import augment
