@@ -136,6 +136,10 @@ Command NavigatePolicy::update(const std::optional<Guidance>& guidance, double t
 
 // --- Gap -------------------------------------------------------------------------------------------------------------
 
+const char* to_string(ExploreKind kind) noexcept {
+  return kind == ExploreKind::kDiagonal ? "diagonal" : "excited_hover";
+}
+
 Command explore(const ExploreOptions& options, double elapsed_s) {
   require(options.speed_m_s > 0.0 && options.duration_s > 0.0 && options.frequency_hz > 0.0,
           "exploratory manoeuvre: give a positive speed_m_s, duration_s and frequency_hz");

@@ -91,6 +91,8 @@ enum class ExploreKind {
   kExcitedHover,  ///< a wobble about the spot, as a position loop of raised gain makes
 };
 
+const char* to_string(ExploreKind kind) noexcept;
+
 struct ExploreOptions {
   ExploreKind kind = ExploreKind::kDiagonal;
   double speed_m_s = 0.5;
