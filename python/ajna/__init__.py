@@ -55,7 +55,7 @@ from ajna.model import FlowField, Model, load, models  # noqa: E402
 
 __all__ = ["FlowField", "Model", "__version__", "load", "models"]
 
-_SUBMODULES = ("cli", "data", "evaluation", "io", "losses", "metrics", "nn", "synth", "training", "viz")
+_SUBMODULES = ("cli", "data", "evaluation", "io", "losses", "metrics", "nn", "synth", "tasks", "training", "viz")
 
 
 def __getattr__(name: str) -> Any:

@@ -73,10 +73,11 @@ const char* to_string(DodgeStatus status) noexcept {
 }
 
 DodgeOptions::DodgeOptions() {
-  map.smooth_px = 2.0;
-  map.rule = ThresholdRule::kOtsu;
-  map.high_quantile = 0.999;
-  map.close_px = 15;
+  map.smooth_px = 1.0;
+  map.rule = ThresholdRule::kFixed;  // a share of the peak: Otsu's takes in the halo about a small thing
+  map.fixed = 0.6;
+  map.open_px = 5;
+  map.close_px = 9;
   map.min_area = 0.0008;
   map.max_area = 0.25;
 }

@@ -22,7 +22,7 @@ const char* to_string(DodgeStatus status) noexcept;
 
 struct DodgeOptions {
   MapOptions map;                   ///< for a small thing before a background that is certain
-  double min_contrast = 2.0;        ///< a region's mean over the mean outside
+  double min_contrast = 1.7;        ///< a region's mean over the mean outside
   double min_uncertainty = 0.25;    ///< and its mean, in units of the map
   bool convex = true;               ///< the obstacle is the convex hull of its region: rims are seen before the inside
   int confirm_frames = 3;           ///< detections in a row that make a direction

@@ -54,7 +54,7 @@ struct GapResult {
 /// Frames during the exploratory manoeuvre are all paired with the first of them, so that their maps lie on one grid
 /// and can be averaged: what is seen through the gap moves otherwise than the wall, and stays uncertain. The contour
 /// found there is then carried along by features of the wall around it (foreground) or of what is seen through it
-/// (background), whichever side has more of them, by their common expansion about its focus.
+/// (background) where the wall cannot be followed, by their common expansion about its focus.
 class GapPipeline {
  public:
   /// horizontal_fov_rad: of the camera.

@@ -154,8 +154,7 @@ bool GapTracker::track(const cv::Mat& grey) {
   if (!usable(foreground) && !usable(background)) {
     return false;
   }
-  const bool by_foreground =
-      usable(foreground) && (!usable(background) || foreground.expansion.inliers >= background.expansion.inliers);
+  const bool by_foreground = usable(foreground);
   side_ = by_foreground ? TrackedSide::kForeground : TrackedSide::kBackground;
   expansion_ = (by_foreground ? foreground : background).expansion;
   for (cv::Point2f& point : contour_) {

@@ -40,8 +40,9 @@ struct GapFeatures {
 };
 
 /// Carries a contour from frame to frame: KLT (pyramidal Lucas-Kanade) with forward-backward check on either side, a
-/// robust expansion fit per side, and the contour moved by that of the side that holds more features. The wall is what
-/// the contour belongs to; the background takes over when the wall leaves the image, or has no texture.
+/// robust expansion fit per side. The contour belongs to the wall and moves with it for as long as enough of the wall
+/// can be followed; when it leaves the image, or has no texture, the background takes over (whose expansion is less:
+/// the gap then rather looks too small than too large), and hands back when the wall is there again.
 class GapTracker {
  public:
   explicit GapTracker(const GapTrackerOptions& options = {});

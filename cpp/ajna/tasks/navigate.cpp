@@ -171,8 +171,18 @@ void NavigatePipeline::weigh(NavigateResult& result) const {
   const cv::Rect& window = result.window;
   const int columns = std::min(options_.directions, window.width);
   const int rows = std::clamp(columns * window.height / window.width, 1, window.height);
-  cv::Mat cells;
-  cv::resize(result.steps.scalar(window), cells, {columns, rows}, 0, 0, cv::INTER_AREA);
+  // The nearest thing of each cell: the maximum, over parts that are too large for single pixels to count.
+  constexpr int kParts = 4;
+  cv::Mat parts;
+  cv::resize(result.steps.scalar(window), parts, {kParts * columns, kParts * rows}, 0, 0, cv::INTER_AREA);
+  cv::Mat cells(rows, columns, CV_32F);
+  for (int row = 0; row < rows; ++row) {
+    for (int column = 0; column < columns; ++column) {
+      double most = 0.0;
+      cv::minMaxLoc(parts(cv::Rect(kParts * column, kParts * row, kParts, kParts)), nullptr, &most);
+      cells.at<float>(row, column) = static_cast<float>(most);
+    }
+  }
   const auto box = [&](const cv::Point& cell) {
     const int x0 = cell.x * window.width / columns;
     const int y0 = cell.y * window.height / rows;

@@ -56,7 +56,7 @@ struct NavigateResult {
   Eigen::Vector2d free_px = Eigen::Vector2d::Zero();  ///< the safe point
   cv::Rect close_box;                                 ///< the most unsafe cell of the window
   cv::Rect other_box;                                 ///< the second most unsafe one; empty where there is none
-  double y_close = 0.0;                               ///< their mean uncertainty, units of the map
+  double y_close = 0.0;  ///< their largest uncertainty, over parts of a few pixels, units of the map
   double y_other = 0.0;
   double y_free = 0.0;                                        ///< mean uncertainty of the free space
   double weight = 0.0;                                        ///< w

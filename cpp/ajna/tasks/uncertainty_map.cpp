@@ -313,7 +313,7 @@ FreeSpace largest_free_space(const cv::Mat& unsafe, const cv::Rect& window) {
   cv::Mat padded;
   cv::copyMakeBorder(chosen, padded, 1, 1, 1, 1, cv::BORDER_CONSTANT, 0);
   cv::Mat distance;
-  cv::distanceTransform(padded, distance, cv::DIST_L2, 3);
+  cv::distanceTransform(padded, distance, cv::DIST_L2, cv::DIST_MASK_5);
   cv::Point center(cvRound(centroids.at<double>(best, 0)), cvRound(centroids.at<double>(best, 1)));
   space.center_px = {centroids.at<double>(best, 0), centroids.at<double>(best, 1)};
   if (chosen.at<std::uint8_t>(center) == 0) {
