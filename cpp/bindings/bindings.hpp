@@ -15,6 +15,9 @@ void bind_checkpoint(pybind11::module_& m);  ///< network_input, checkpoints, To
 void bind_engine(pybind11::module_& m);
 #ifdef AJNA_WITH_VISION
 void bind_io(pybind11::module_& m);  ///< images, flow files, video
+void bind_geometry(pybind11::module_& m);
+void bind_control(pybind11::module_& m);
+void bind_tasks(pybind11::module_& m);
 #endif
 
 }  // namespace ajna::bindings

@@ -11,6 +11,9 @@ PYBIND11_MODULE(_core, m) {
   ajna::bindings::bind_engine(m);
 #ifdef AJNA_WITH_VISION
   ajna::bindings::bind_io(m);
+  ajna::bindings::bind_geometry(m);
+  ajna::bindings::bind_control(m);
+  ajna::bindings::bind_tasks(m);
   m.attr("with_vision") = true;
 #else
   m.attr("with_vision") = false;

@@ -68,6 +68,7 @@ _SUBMODULES = (
     "nn",
     "plots",
     "synth",
+    "tasks",
     "training",
     "viz",
 )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The command line: ``ajna predict | video | evaluate | calibrate | export | info | losses``.
+"""The command line: ``ajna predict | video | task | evaluate | calibrate | export | info | losses | bench | study``.
 
 Commands import what is heavy (torch, OpenCV, matplotlib) inside their functions, so that ``--help`` is quick. They
 raise ordinary exceptions; :func:`ajna.cli.errors.run` alone turns those into one sentence and an exit code.
@@ -22,6 +22,7 @@ from ajna.cli.info import info
 from ajna.cli.losses import losses
 from ajna.cli.predict import predict
 from ajna.cli.study import study
+from ajna.cli.task import task
 from ajna.cli.video import video
 
 app = typer.Typer(
@@ -32,7 +33,7 @@ app = typer.Typer(
     help="Optical flow and its per-pixel uncertainty in one pass.",
     epilog="Example: ajna predict frame1.png frame2.png --out result",
 )
-for _command in (predict, video, evaluate, calibrate, export, info, losses):
+for _command in (predict, video, task, evaluate, calibrate, export, info, losses):
     app.command()(_command)
 app.add_typer(bench, name="bench")
 app.add_typer(study)

@@ -1,0 +1,74 @@
+// SPDX-License-Identifier: MIT
+#pragma once
+
+#include <cmath>
+#include <limits>
+#include <opencv2/core.hpp>
+#include <opencv2/imgproc.hpp>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "ajna/base/image_view.hpp"
+
+// Synthetic maps of uncertainty and frames for the tests of `tasks`.
+
+namespace ajna::tasks {
+
+constexpr int kWidth = 320;
+constexpr int kHeight = 240;
+
+/// A map at `level` with reproducible noise.
+inline cv::Mat calm_map(double level = 0.3, double noise = 0.02) {
+  cv::Mat map(kHeight, kWidth, CV_32F);
+  cv::RNG random(7);
+  random.fill(map, cv::RNG::UNIFORM, level - noise, level + noise);
+  return map;
+}
+
+inline cv::Mat with_disc(cv::Mat map, cv::Point center, int radius, double level) {
+  cv::circle(map, center, radius, level, cv::FILLED);
+  return map;
+}
+
+inline cv::Mat with_ring(cv::Mat map, cv::Point center, int radius, int thickness, double level) {
+  cv::circle(map, center, radius, level, thickness);
+  return map;
+}
+
+/// Maps that no pipeline can draw anything from, by name.
+inline std::vector<std::pair<std::string, cv::Mat>> unusable_maps() {
+  cv::Mat nan = calm_map();
+  nan.at<float>(100, 100) = std::numeric_limits<float>::quiet_NaN();
+  cv::Mat infinite = calm_map();
+  infinite.at<float>(0, 0) = std::numeric_limits<float>::infinity();
+  cv::Mat negative = calm_map();
+  negative.at<float>(10, 10) = -1.0F;
+  return {{"empty", cv::Mat()},
+          {"one pixel", cv::Mat(1, 1, CV_32F, cv::Scalar(1.0))},
+          {"all NaN", cv::Mat(kHeight, kWidth, CV_32F, cv::Scalar(std::nan("")))},
+          {"one NaN", nan},
+          {"infinite", infinite},
+          {"negative", negative},
+          {"bytes", cv::Mat(kHeight, kWidth, CV_8U, cv::Scalar(1))}};
+}
+
+inline double iou(const cv::Mat& a, const cv::Mat& b) {
+  return cv::countNonZero(a & b) / std::max(1.0, static_cast<double>(cv::countNonZero(a | b)));
+}
+
+/// A frame that owns its pixels: RGB noise texture, and views of it.
+inline cv::Mat textured(int seed) {
+  cv::Mat image(kHeight, kWidth, CV_8UC3);
+  cv::RNG random(static_cast<std::uint64_t>(seed));
+  random.fill(image, cv::RNG::UNIFORM, 0, 256);
+  cv::GaussianBlur(image, image, {0, 0}, 2.0);
+  cv::normalize(image, image, 0, 255, cv::NORM_MINMAX);
+  return image;
+}
+
+inline ImageView view_of(const cv::Mat& image) {
+  return {image.data, image.cols, image.rows, 3, static_cast<std::ptrdiff_t>(image.step[0])};
+}
+
+}  // namespace ajna::tasks
