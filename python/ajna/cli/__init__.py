@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The command line: ``ajna predict | video | evaluate | export | info``.
+"""The command line: ``ajna predict | video | evaluate | export | info | synth``.
 
 Commands import what is heavy (torch, OpenCV, matplotlib) inside their functions, so that ``--help`` is quick. They
 raise ordinary exceptions; :func:`ajna.cli.errors.run` alone turns those into one sentence and an exit code.
@@ -19,6 +19,7 @@ from ajna.cli.export import export
 from ajna.cli.info import info
 from ajna.cli.losses import losses
 from ajna.cli.predict import predict
+from ajna.cli.synth import app as synth_app
 from ajna.cli.video import video
 
 app = typer.Typer(
@@ -31,6 +32,7 @@ app = typer.Typer(
 )
 for _command in (predict, video, evaluate, export, info, losses):
     app.command()(_command)
+app.add_typer(synth_app, name="synth")
 
 
 def _print_version(wanted: bool) -> None:
