@@ -2,7 +2,7 @@
 # Types of the compiled extension; tests/python/test_stub.py compares the names with what it really has.
 import os
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, overload
 
 import numpy as np
 import torch
@@ -35,6 +35,50 @@ class AdmissibilityReport:
     def raw_min(self) -> float: ...
     @property
     def reason(self) -> str: ...
+
+class AugmentConfig:
+    asymmetric_probability: float
+    blur_max_px: float
+    blur_probability: float
+    brightness: float
+    color_probability: float
+    contrast: float
+    flip_x_probability: float
+    flip_y_probability: float
+    gamma: float
+    hue: float
+    noise: float
+    patch_count: int
+    patch_max_size: float
+    patch_min_size: float
+    patch_probability: float
+    relative_probability: float
+    relative_rotation_deg: float
+    relative_scale: float
+    relative_translation: float
+    rotation_deg: float
+    saturation: float
+    scale_max: float
+    scale_min: float
+    spatial_probability: float
+    stretch: float
+    stretch_probability: float
+    swap_probability: float
+    def __init__(self, other: AugmentConfig = ...) -> None: ...
+
+class AugmentPreset:
+    @property
+    def config(self) -> AugmentConfig: ...
+    @property
+    def name(self) -> str: ...
+    @property
+    def summary(self) -> str: ...
+
+class Augmenter:
+    def __init__(self, config: AugmentConfig = ...) -> None: ...
+    def augment(self, batch: Mapping[str, Tensor], height: int, width: int, seed: int) -> dict[str, Tensor]: ...
+    @property
+    def config(self) -> AugmentConfig: ...
 
 class Calibration:
     def __init__(self, factors: ConformalFactors, provenance: Mapping[str, str]) -> None: ...
@@ -238,9 +282,12 @@ class PairBatch:
     def occlusion(self) -> Tensor: ...
 
 class PairGenerator:
+    @overload
     def __init__(
         self, config: SceneConfig = ..., bank_seed: int = ..., device: str = ..., photos: Tensor | None = ...
     ) -> None: ...
+    @overload
+    def __init__(self, config: SceneConfig, other: PairGenerator) -> None: ...
     def generate(self, batch: int, height: int, width: int, seed: int, flow_scale: float = ...) -> PairBatch: ...
     @property
     def config(self) -> SceneConfig: ...
@@ -252,18 +299,32 @@ class SceneConfig:
     background_ratio: float
     bank_size: int
     bar_weight: float
+    blink_probability: float
     blob_weight: float
     blur_probability: float
     brightness_change: float
+    camera: str
+    camera_height: float
+    camera_rotation: float
     color_change: float
     defocus_max_px: float
     defocus_probability: float
+    depth_far: float
+    depth_near: float
+    flat_texture_share: float
     flow_distribution: str
     flow_max_px: float
     flow_mean_px: float
+    focal_max: float
+    focal_min: float
     gamma_change: float
+    hole_union_probability: float
+    independent_probability: float
+    jump_probability: float
+    jump_stops: float
     layer_probability: float
     layers: int
+    light_probability: float
     max_size: float
     min_size: float
     motion_boundary_px: float
@@ -272,13 +333,28 @@ class SceneConfig:
     parallax_probability: float
     perspective_probability: float
     photo_probability: float
+    placement_spread: float
+    plane_tilt: float
+    plate_frame_probability: float
     plate_weight: float
     polygon_weight: float
+    repetitive_texture_share: float
     rotation_zoom: float
     shutter: float
     static_probability: float
+    surface: str
+    table_tilt_deg: float
     texture_size: int
-    def __init__(self) -> None: ...
+    trunk_weight: float
+    def __init__(self, other: SceneConfig = ...) -> None: ...
+
+class ScenePreset:
+    @property
+    def config(self) -> SceneConfig: ...
+    @property
+    def name(self) -> str: ...
+    @property
+    def summary(self) -> str: ...
 
 class TermSpec:
     name: str
@@ -362,6 +438,8 @@ class VideoWriter:
     @property
     def frames_written(self) -> int: ...
 
+def augment_preset(name: str) -> AugmentPreset: ...
+def augment_presets() -> list[AugmentPreset]: ...
 def count_macs(config: NetConfig, height: int, width: int) -> int: ...
 def export_torchscript(path: Path, net: FlowNetCore, metadata: CheckpointMetadata) -> None: ...
 def isotonic_regression(values: Tensor, weights: Tensor) -> Tensor: ...
@@ -378,6 +456,8 @@ def read_image(path: Path) -> NDArray[np.uint8]: ...
 def read_kitti_flow(path: Path) -> tuple[NDArray[np.float32], NDArray[np.bool_]]: ...
 def read_pfm(path: Path) -> NDArray[np.float32]: ...
 def save_checkpoint(path: Path, net: FlowNetCore, metadata: CheckpointMetadata) -> None: ...
+def scene_preset(name: str) -> ScenePreset: ...
+def scene_presets() -> list[ScenePreset]: ...
 def validate_scene_config(config: SceneConfig) -> None: ...
 def write_flo(path: Path, flow: NDArray[Any], valid: NDArray[Any] | None = ...) -> None: ...
 def write_image(path: Path, image: NDArray[Any]) -> None: ...

@@ -9,45 +9,17 @@
 #include "ajna/synth/pair_generator.hpp"
 #include "ajna/synth/photometric.hpp"
 #include "ajna/synth/shapes.hpp"
+#include "synth_checks.hpp"
 
 namespace ajna::synth {
 namespace {
 
-namespace F = torch::nn::functional;
+using testing::eroded;
+using testing::warp;
 using torch::Tensor;
 
 /// Scenes without blur, noise or exposure change: what is left is geometry.
-SceneConfig clean_config() {
-  SceneConfig config;
-  config.bank_size = 12;
-  config.texture_size = 96;
-  config.blur_probability = 0;
-  config.defocus_probability = 0;
-  config.noise_max = 0;
-  config.brightness_change = 0;
-  config.color_change = 0;
-  config.gamma_change = 0;
-  return config;
-}
-
-/// `image` [B, C, H, W] looked up at x + flow(x).
-Tensor warp(const Tensor& image, const Tensor& flow) {
-  const auto height = image.size(2), width = image.size(3);
-  const auto x = torch::arange(width, flow.options()).view({1, 1, -1}) + flow.select(1, 0);
-  const auto y = torch::arange(height, flow.options()).view({1, -1, 1}) + flow.select(1, 1);
-  const auto grid =
-      torch::stack({x * 2 / static_cast<double>(width - 1) - 1, y * 2 / static_cast<double>(height - 1) - 1}, -1);
-  return F::grid_sample(
-      image.to(torch::kFloat32), grid,
-      F::GridSampleFuncOptions().mode(torch::kBilinear).padding_mode(torch::kBorder).align_corners(true));
-}
-
-/// True where every pixel within `radius` is true.
-Tensor eroded(const Tensor& mask, std::int64_t radius) {
-  const auto outside = F::max_pool2d(mask.logical_not().to(torch::kFloat32),
-                                     F::MaxPool2dFuncOptions(2 * radius + 1).stride(1).padding(radius));
-  return outside < 0.5;
-}
+SceneConfig clean_config() { return testing::cleaned({}); }
 
 TEST(PairGenerator, WarpingFrame2ReproducesFrame1OnVisiblePixels) {
   const PairGenerator generator(clean_config(), 3);
@@ -104,40 +76,8 @@ TEST(PairGenerator, ZeroMotionIsZeroFlowWithoutOcclusion) {
 }
 
 TEST(PairGenerator, OcclusionAgreesWithBruteForceVisibility) {
-  // The layer that frame 2 shows at the target says whether the point is still seen. layer2 is composited on frame 2's
-  // grid, the occlusion is computed at the exact target: two routes that must agree away from outlines.
   const PairGenerator generator(clean_config(), 7);
-  const auto pair = generator.generate(16, 96, 128, 21);
-  const std::int64_t height = 96, width = 128;
-  const auto flow = pair.flow.accessor<float, 4>();
-  const auto layer1 = pair.layer1.accessor<std::uint8_t, 4>(), layer2 = pair.layer2.accessor<std::uint8_t, 4>();
-  const auto occlusion = pair.occlusion.accessor<bool, 4>();
-  std::int64_t compared = 0, hidden = 0, wrong = 0;
-  for (std::int64_t b = 0; b < 16; ++b) {
-    for (std::int64_t y = 0; y < height; ++y) {
-      for (std::int64_t x = 0; x < width; ++x) {
-        const auto tx = static_cast<std::int64_t>(std::lround(static_cast<float>(x) + flow[b][0][y][x]));
-        const auto ty = static_cast<std::int64_t>(std::lround(static_cast<float>(y) + flow[b][1][y][x]));
-        if (tx < 1 || ty < 1 || tx >= width - 1 || ty >= height - 1) {
-          continue;
-        }
-        const auto seen = layer2[b][0][ty][tx];
-        bool uniform = true;
-        for (int dy = -1; dy <= 1; ++dy) {
-          for (int dx = -1; dx <= 1; ++dx) {
-            uniform = uniform && layer2[b][0][ty + dy][tx + dx] == seen;
-          }
-        }
-        if (!uniform) {
-          continue;
-        }
-        ++compared;
-        const bool expected = seen != layer1[b][0][y][x];
-        hidden += expected ? 1 : 0;
-        wrong += expected != occlusion[b][0][y][x] ? 1 : 0;
-      }
-    }
-  }
+  const auto [compared, hidden, wrong] = testing::check_occlusion(generator.generate(16, 96, 128, 21));
   EXPECT_GT(compared, 50000);
   EXPECT_GT(hidden, 200);
   // A bar thinner than a pixel may pass between the grid points of layer2.

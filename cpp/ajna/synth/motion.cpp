@@ -111,7 +111,7 @@ LayerMotion LayerMotion::slice(std::int64_t begin, std::int64_t end, const torch
 }
 
 LayerMotion draw_motion(const SceneConfig& c, const LayerPlacement& place, std::int64_t height, std::int64_t width,
-                        Random& random) {
+                        Random& random, const SceneGeometry* geometry, Random* extra) {
   const std::int64_t batch = place.radius.size(0), layers = place.radius.size(1);
   auto magnitude = draw_magnitude(c, {batch, layers}, random);
   magnitude.select(1, 0) *= c.background_ratio;
@@ -124,7 +124,7 @@ LayerMotion draw_motion(const SceneConfig& c, const LayerPlacement& place, std::
   auto angle = (random.normal({batch, layers}, c.rotation_zoom) * magnitude / rim).clamp(-0.5, 0.5);
   auto scale = (random.normal({batch, layers}, c.rotation_zoom) * magnitude / rim).clamp(-0.35, 0.35).exp();
 
-  const bool projective = random.number() < c.perspective_probability;
+  bool projective = random.number() < c.perspective_probability;
   auto px = torch::zeros({batch, layers}), py = torch::zeros({batch, layers});
   if (projective) {
     px = (random.normal({batch, layers}, 0.5 * c.rotation_zoom) * magnitude / rim).clamp(-0.15, 0.15) / rim;
@@ -145,6 +145,16 @@ LayerMotion draw_motion(const SceneConfig& c, const LayerPlacement& place, std::
   parallax.select(2, 1).select(2, 2) += (ty.slice(1, 0, 1) * depth_order).to(torch::kFloat64);
   parallax.select(1, 0).copy_(g.select(1, 0));
   own = torch::where(random.chance({batch, 1, 1, 1}, c.parallax_probability), parallax, own);
+
+  if (geometry != nullptr) {
+    Random& more = extra != nullptr ? *extra : random;
+    auto alone = more.chance({batch, layers, 1, 1}, c.independent_probability);
+    alone.slice(1, 0, layers - c.layers).fill_(false);  // the background and the floor do not move by themselves
+    const auto still = torch::eye(3, g.options()).expand_as(g);
+    const auto step = draw_camera_step(c, *geometry, magnitude.select(1, 0), more);
+    own = step_homographies(*geometry, step).matmul(torch::where(alone, g, still));
+    projective = true;
+  }
 
   LayerMotion motion;
   motion.projective = projective;

@@ -3,6 +3,7 @@
 
 #include <torch/torch.h>
 
+#include "ajna/synth/camera_motion.hpp"
 #include "ajna/synth/random.hpp"
 #include "ajna/synth/scene_config.hpp"
 
@@ -45,8 +46,10 @@ struct LayerPlacement {
   torch::Tensor extent;              ///< [B, L], pixels: how far from the centre the layer can be seen
 };
 
-/// Draw the motions of B scenes with L layers each, rows ordered [B * L], nearest layer last.
+/// Draw the motions of B scenes with L layers each, rows ordered [B * L], nearest layer last. With a `geometry` the
+/// camera moves, drawn from `extra`, and layers follow; by default layers move each on their own.
 LayerMotion draw_motion(const SceneConfig& config, const LayerPlacement& placement, std::int64_t height,
-                        std::int64_t width, Random& random);
+                        std::int64_t width, Random& random, const SceneGeometry* geometry = nullptr,
+                        Random* extra = nullptr);
 
 }  // namespace ajna::synth

@@ -3,82 +3,23 @@
 
 #include <cmath>
 #include <string>
+#include <tuple>
 #include <vector>
 
 #include "ajna/base/error.hpp"
-#include "ajna/synth/motion.hpp"
 #include "ajna/synth/photometric.hpp"
-#include "ajna/synth/shapes.hpp"
+#include "ajna/synth/random.hpp"
+#include "ajna/synth/scene.hpp"
 
 namespace ajna::synth {
 namespace {
 
 using torch::Tensor;
 
-constexpr double kPi = 3.14159265358979323846;
-
 /// On a CPU the planes of this many scenes stay in the second-level cache; a GPU takes the whole batch at once.
 constexpr std::int64_t kScenesPerChunk = 2;
 
-/// How a layer looks up its texture: texture pixel = scale * rotation * image pixel + offset, then gain and bias.
-struct Appearance {
-  Tensor index;       // int64 [B, L] into the bank
-  Tensor affine;      // [B, L, 4]: scale * cos, scale * sin, offset u, offset v
-  Tensor gain, bias;  // [B, L, 3]
-
-  [[nodiscard]] Appearance slice(std::int64_t begin, std::int64_t end, const torch::Device& device) const {
-    const auto part = [&](const Tensor& x) { return x.slice(0, begin, end).to(device); };
-    return {part(index), part(affine), part(gain), part(bias)};
-  }
-};
-
-/// Everything that was drawn for the scenes of a chunk, on the device.
-struct Scene {
-  std::int64_t batch, layers, height, width;
-  LayerPlacement place;  // [B, L]
-  Tensor present;        // [B, L] float 0 or 1
-  ShapeSet shapes;
-  LayerMotion motion;
-  Appearance look;
-  CameraEffects camera;
-};
-
-LayerPlacement draw_placement(const SceneConfig& c, const ShapeSet& shapes, std::int64_t batch, std::int64_t layers,
-                              std::int64_t height, std::int64_t width, Random& random) {
-  const double side = static_cast<double>(std::min(height, width));
-  LayerPlacement place;
-  place.center_x = random.uniform({batch, layers}, -0.05, 1.05) * static_cast<double>(width - 1);
-  place.center_y = random.uniform({batch, layers}, -0.05, 1.05) * static_cast<double>(height - 1);
-  place.radius = random.log_uniform({batch, layers}, c.min_size * side, c.max_size * side + 1e-9);
-  // The background turns about the image centre.
-  place.center_x.select(1, 0).fill_(0.5 * static_cast<double>(width - 1));
-  place.center_y.select(1, 0).fill_(0.5 * static_cast<double>(height - 1));
-  // The background and plates fill the image; a motion that is moderate at their radius would be wild at its corners.
-  const double diagonal = std::hypot(static_cast<double>(height), static_cast<double>(width));
-  place.extent = torch::where(shapes.unbounded().view({batch, layers}), torch::full_like(place.radius, diagonal),
-                              place.radius.clone());
-  place.extent.select(1, 0).fill_(0.5 * diagonal);
-  return place;
-}
-
-Appearance draw_appearance(const SceneConfig& c, const TextureBank& bank, std::int64_t batch, std::int64_t layers,
-                           Random& random) {
-  const auto procedural = random.integers({batch, layers}, std::max<std::int64_t>(1, bank.procedural_count()));
-  Appearance look;
-  look.index = procedural;
-  if (bank.photo_count() > 0) {
-    const auto photo = bank.procedural_count() + random.integers({batch, layers}, bank.photo_count());
-    look.index = torch::where(random.chance({batch, layers}, c.photo_probability), photo, procedural);
-  }
-  const auto turn = random.uniform({batch, layers}, 0, 2 * kPi), scale = random.log_uniform({batch, layers}, 0.4, 1.2);
-  const double size = static_cast<double>(bank.size());
-  look.affine = torch::stack({scale * turn.cos(), scale * turn.sin(), random.uniform({batch, layers}, 0, 2 * size),
-                              random.uniform({batch, layers}, 0, 2 * size)},
-                             -1);
-  look.gain = random.uniform({batch, layers, 1}, 0.5, 1.1) * random.uniform({batch, layers, 3}, 0.85, 1.15);
-  look.bias = random.uniform({batch, layers, 1}, -0.1, 0.25) + random.normal({batch, layers, 3}, 0.03);
-  return look;
-}
+constexpr double kFinestDetail = 1.3;  // texture pixels per image pixel that still show in full contrast
 
 /// Coverage of each layer at canonical points [B * L, H, W]: 1 inside, 0 outside, one pixel of transition.
 Tensor coverage(const Scene& s, const Points& at) {
@@ -88,15 +29,33 @@ Tensor coverage(const Scene& s, const Points& at) {
       s.shapes.signed_distance((at.x - row(s.place.center_x)) / radius, (at.y - row(s.place.center_y)) / radius);
   auto alpha = ((distance * radius + 0.5).clamp(0, 1) * row(s.present)).view({s.batch, s.layers, s.height, s.width});
   alpha.select(1, 0).fill_(1.0);  // the background is everywhere
+  if (s.geometry && s.geometry->horizon_y.defined()) {
+    const auto y = at.y.view({s.batch, s.layers, s.height, s.width}).select(1, 1);
+    alpha.select(1, 1).copy_((y - s.geometry->horizon_y.view({-1, 1, 1}) + 0.5).clamp(0, 1));
+  }
   return alpha;
 }
 
-Tensor colors(const Scene& s, const TextureBank& bank, const Points& at) {
-  const auto x = at.x.view({s.batch, s.layers, s.height, s.width}), y = at.y.view_as(x);
+/// Colour of each layer at canonical points in frame 1 or 2, [B, L, 3, H, W].
+Tensor colors(const Scene& s, const TextureBank& bank, const Points& at, int frame) {
+  auto x = at.x.view({s.batch, s.layers, s.height, s.width}), y = at.y.view_as(x);
   const auto p = [&](std::int64_t k) { return s.look.affine.select(2, k).view({s.batch, s.layers, 1, 1}); };
-  const auto texels = bank.sample(s.look.index, p(0) * x - p(1) * y + p(2), p(1) * x + p(0) * y + p(3));
+  Tensor contrast;
+  if (s.geometry) {
+    const auto texture = on_planes(*s.geometry, x, y);
+    x = texture.q_u;
+    y = texture.q_v;
+    // Where a texture is too dense for the pixels it fades to grey instead of flickering.
+    const auto scale = (p(0).square() + p(1).square()).sqrt();
+    contrast = (kFinestDetail / (scale * texture.density)).clamp(0, 1).unsqueeze(2);
+  }
+  auto texels = bank.sample(s.look.index, p(0) * x - p(1) * y + p(2), p(1) * x + p(0) * y + p(3));
+  if (contrast.defined()) {
+    texels = (texels - 0.5) * contrast + 0.5;
+  }
   const auto channel = [&](const Tensor& v) { return v.view({s.batch, s.layers, 3, 1, 1}); };
-  return (texels * channel(s.look.gain) + channel(s.look.bias)).clamp(0, 1);
+  const auto color = (texels * channel(s.look.gain) + channel(s.look.bias)).clamp(0, 1);
+  return s.look.lit.defined() ? color * s.look.lit.select(2, frame - 1).view({s.batch, s.layers, 1, 1, 1}) : color;
 }
 
 struct Rendered {
@@ -105,14 +64,20 @@ struct Rendered {
 };
 
 /// Composite back to front; layer L - 1 is nearest.
-Rendered render(const Scene& s, const TextureBank& bank, const Points& at) {
-  const auto alpha = coverage(s, at), color = colors(s, bank, at);
+Rendered render(const Scene& s, const TextureBank& bank, const Points& at, int frame) {
+  const auto alpha = coverage(s, at), color = colors(s, bank, at, frame);
   Rendered out{color.select(1, 0).contiguous(),
                torch::zeros({s.batch, s.height, s.width}, alpha.options().dtype(torch::kInt64))};
   for (std::int64_t layer = 1; layer < s.layers; ++layer) {
     const auto a = alpha.select(1, layer);
     out.image = torch::lerp(out.image, color.select(1, layer), a.unsqueeze(1).expand_as(out.image));
     out.top.masked_fill_(a > 0.5, layer);
+  }
+  if (s.lights.x.defined()) {
+    const auto on_background = [&](const Tensor& x) {
+      return x.expand({s.batch * s.layers, s.height, s.width}).view({s.batch, s.layers, s.height, s.width}).select(1, 0);
+    };
+    out.image = (out.image + s.lights.glow(on_background(at.x), on_background(at.y), frame)).clamp(0, 1);
   }
   return out;
 }
@@ -156,9 +121,9 @@ PairBatch render_pair(const Scene& s, const TextureBank& bank, const SceneConfig
   const auto y = torch::arange(s.height, options).view({1, -1, 1}).expand({1, s.height, s.width});
   const std::int64_t rows = s.batch * s.layers;
 
-  const auto first = render(s, bank, {x.expand({rows, -1, -1}), y.expand({rows, -1, -1})});
+  const auto first = render(s, bank, {x.expand({rows, -1, -1}), y.expand({rows, -1, -1})}, 1);
   const auto seen = s.motion.to_frame1({x, y});
-  const auto second = render(s, bank, seen);
+  const auto second = render(s, bank, seen, 2);
 
   const auto target = s.motion.per_pixel(first.top, s.layers).to_frame2({x, y});
   PairBatch pair;
@@ -176,13 +141,6 @@ PairBatch render_pair(const Scene& s, const TextureBank& bank, const SceneConfig
   pair.frame1 = expose(defocus(image1, s.camera.defocus_px), s.camera.gain1, s.camera.gamma1, noise1);
   pair.frame2 = expose(defocus(image2, s.camera.defocus_px), s.camera.gain2, s.camera.gamma2, noise2);
   return pair;
-}
-
-/// Normal deviates on the device from a seeded generator of its own.
-Tensor draw_noise(torch::IntArrayRef shape, std::uint64_t seed, const torch::Device& device) {
-  auto generator = at::globalContext().defaultGenerator(device).clone();
-  generator.set_current_seed(seed);
-  return torch::randn(shape, generator, torch::TensorOptions().device(device));
 }
 
 Tensor join(const std::vector<PairBatch>& parts, Tensor PairBatch::*member) {
@@ -205,7 +163,20 @@ PairGenerator::PairGenerator(const SceneConfig& config, std::uint64_t bank_seed,
                              const std::optional<Tensor>& photos)
     : config_(validated(config)),
       device_(device),
-      bank_(config.bank_size, config.texture_size, bank_seed, device, photos) {}
+      bank_(std::make_shared<TextureBank>(config.bank_size, config.texture_size, bank_seed, device, photos,
+                                          TextureMix{config.flat_texture_share, config.repetitive_texture_share})) {}
+
+PairGenerator::PairGenerator(const SceneConfig& config, const PairGenerator& other)
+    : config_(validated(config)), device_(other.device_), bank_(other.bank_) {
+  const auto textures = [](const SceneConfig& c) {
+    return std::tuple(c.bank_size, c.texture_size, c.flat_texture_share, c.repetitive_texture_share);
+  };
+  if (textures(config) != textures(other.config_)) {
+    throw_invalid(
+        "scenes whose bank_size, texture_size, flat_texture_share or repetitive_texture_share differ cannot share "
+        "textures: make a generator of its own");
+  }
+}
 
 PairBatch PairGenerator::generate(std::int64_t batch, std::int64_t height, std::int64_t width, std::uint64_t seed,
                                   double flow_scale) const {
@@ -221,34 +192,17 @@ PairBatch PairGenerator::generate(std::int64_t batch, std::int64_t height, std::
   scaled.flow_mean_px *= flow_scale;
   scaled.flow_max_px *= flow_scale;
 
-  Random random(seed);
-  const std::int64_t layers = config_.layers + 1;
-  const ShapeSet shapes(config_, batch * layers, random);
-  const auto place = draw_placement(config_, shapes, batch, layers, height, width, random);
-  const auto present = random.chance({batch, layers}, config_.layer_probability).to(torch::kFloat32);
-  const auto motion = draw_motion(scaled, place, height, width, random);
-  const auto look = draw_appearance(config_, bank_, batch, layers, random);
-  const auto camera = draw_camera_effects(config_, batch, random);
-  const auto noise = draw_noise({batch, 2, 3, height, width}, seed ^ 0x9E3779B97F4A7C15ULL, device_) *
-                     camera.noise.to(device_).view({batch, 1, 1, 1, 1});
+  const auto drawn = draw_scene(scaled, *bank_, batch, height, width, seed);
+  const auto noise = device_normal({batch, 2, 3, height, width}, seed ^ 0x9E3779B97F4A7C15ULL, device_) *
+                     drawn.camera.noise.to(device_).view({batch, 1, 1, 1, 1});
 
   const std::int64_t chunk = device_.is_cpu() ? kScenesPerChunk : batch;
   std::vector<PairBatch> parts;
   for (std::int64_t begin = 0; begin < batch; begin += chunk) {
     const std::int64_t end = std::min(batch, begin + chunk);
-    const auto part = [&](const Tensor& x) { return x.slice(0, begin, end).to(device_); };
-    const Scene scene{end - begin,
-                      layers,
-                      height,
-                      width,
-                      {part(place.center_x), part(place.center_y), part(place.radius), part(place.extent)},
-                      part(present),
-                      shapes.slice(begin * layers, end * layers, device_),
-                      motion.slice(begin * layers, end * layers, device_),
-                      look.slice(begin, end, device_),
-                      camera.slice(begin, end, device_)};
+    const auto scene = drawn.slice(begin, end, device_);
     const auto window = noise.slice(0, begin, end);
-    parts.push_back(render_pair(scene, bank_, config_, window.select(1, 0), window.select(1, 1)));
+    parts.push_back(render_pair(scene, *bank_, config_, window.select(1, 0), window.select(1, 1)));
   }
   return {join(parts, &PairBatch::frame1),    join(parts, &PairBatch::frame2),          join(parts, &PairBatch::flow),
           join(parts, &PairBatch::occlusion), join(parts, &PairBatch::motion_boundary), join(parts, &PairBatch::layer1),

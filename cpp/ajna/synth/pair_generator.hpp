@@ -4,6 +4,7 @@
 #include <torch/torch.h>
 
 #include <cstdint>
+#include <memory>
 #include <optional>
 
 #include "ajna/synth/scene_config.hpp"
@@ -33,18 +34,22 @@ class PairGenerator {
                          const torch::Device& device = torch::kCPU,
                          const std::optional<torch::Tensor>& photos = std::nullopt);
 
+  /// Shares the textures of `other` and its device.
+  /// Throws Error(kInvalidArgument) for an option out of range, or texture options other than those of `other`.
+  PairGenerator(const SceneConfig& config, const PairGenerator& other);
+
   /// `flow_scale` multiplies flow_mean_px and flow_max_px (a curriculum's knob).
   /// Throws Error(kInvalidArgument) for a batch or side below 1, or a scale that is not finite and >= 0.
   [[nodiscard]] PairBatch generate(std::int64_t batch, std::int64_t height, std::int64_t width, std::uint64_t seed,
                                    double flow_scale = 1.0) const;
 
   [[nodiscard]] const SceneConfig& config() const noexcept { return config_; }
-  [[nodiscard]] const TextureBank& bank() const noexcept { return bank_; }
+  [[nodiscard]] const TextureBank& bank() const noexcept { return *bank_; }
 
  private:
   SceneConfig config_;
   torch::Device device_;
-  TextureBank bank_;
+  std::shared_ptr<const TextureBank> bank_;
 };
 
 }  // namespace ajna::synth

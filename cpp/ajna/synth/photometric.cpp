@@ -1,11 +1,15 @@
 // SPDX-License-Identifier: MIT
 #include "ajna/synth/photometric.hpp"
 
+#include <algorithm>
+
 namespace ajna::synth {
 namespace {
 
 namespace F = torch::nn::functional;
 using torch::Tensor;
+
+constexpr std::int64_t kLights = 3;
 
 }  // namespace
 
@@ -14,7 +18,7 @@ CameraEffects CameraEffects::slice(std::int64_t begin, std::int64_t end, const t
   return {part(shutter), part(defocus_px), part(noise), part(gain1), part(gain2), part(gamma1), part(gamma2)};
 }
 
-CameraEffects draw_camera_effects(const SceneConfig& c, std::int64_t batch, Random& random) {
+CameraEffects draw_camera_effects(const SceneConfig& c, std::int64_t batch, Random& random, Random* extra) {
   const auto some = [&](double probability) { return random.chance({batch}, probability).to(torch::kFloat32); };
   CameraEffects effects;
   effects.shutter = some(c.blur_probability) * random.uniform({batch}, 0, c.shutter);
@@ -25,7 +29,44 @@ CameraEffects draw_camera_effects(const SceneConfig& c, std::int64_t batch, Rand
                   (1 + random.uniform({batch, 3}, -c.color_change, c.color_change));
   effects.gamma1 = random.uniform({batch}, 0.8, 1.25);
   effects.gamma2 = effects.gamma1 * (1 + random.uniform({batch}, -c.gamma_change, c.gamma_change));
+  if (c.jump_probability > 0) {
+    Random& more = extra != nullptr ? *extra : random;
+    const auto jumps = more.chance({batch, 1}, c.jump_probability).to(torch::kFloat32);
+    effects.gain2 = effects.gain2 * (jumps * more.uniform({batch, 1}, -c.jump_stops, c.jump_stops)).exp2();
+  }
   return effects;
+}
+
+Lights Lights::slice(std::int64_t begin, std::int64_t end, const torch::Device& device) const {
+  if (!x.defined()) {
+    return {};
+  }
+  const auto part = [&](const Tensor& t) { return t.slice(0, begin, end).to(device); };
+  return {part(x), part(y), part(sigma), part(color), part(on)};
+}
+
+Tensor Lights::glow(const Tensor& at_x, const Tensor& at_y, int frame) const {
+  const auto each = [&](const Tensor& t) { return t.unsqueeze(-1).unsqueeze(-1); };
+  const auto distance = (at_x.unsqueeze(1) - each(x)).square() + (at_y.unsqueeze(1) - each(y)).square();
+  const auto shine = torch::exp(-0.5 * distance / each(sigma.square())) * each(on.select(2, frame - 1));
+  return (shine.unsqueeze(2) * each(color)).sum(1);
+}
+
+Lights draw_lights(const SceneConfig& c, std::int64_t batch, std::int64_t height, std::int64_t width, Random& random) {
+  if (c.light_probability <= 0) {
+    return {};
+  }
+  Lights lights;
+  const double side = static_cast<double>(std::min(height, width));
+  lights.x = random.uniform({batch, kLights}, 0, static_cast<double>(width));
+  lights.y = random.uniform({batch, kLights}, 0, static_cast<double>(height));
+  lights.sigma = random.log_uniform({batch, kLights}, 0.03 * side, 0.2 * side);
+  lights.color = random.uniform({batch, kLights, 1}, 0.3, 0.9);
+  lights.color = lights.color * random.uniform({batch, kLights, 3}, 0.7, 1.0);
+  const auto lit = random.chance({batch, kLights, 1}, c.light_probability).to(torch::kFloat32);
+  const auto second = random.chance({batch, kLights, 1}, 0.5).to(torch::kFloat32);
+  lights.on = lit * torch::cat({1 - second, second}, 2);
+  return lights;
 }
 
 Tensor motion_blur(const Tensor& image, const Tensor& vx, const Tensor& vy, const Tensor& shutter) {

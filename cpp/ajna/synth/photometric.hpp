@@ -21,7 +21,23 @@ struct CameraEffects {
   [[nodiscard]] CameraEffects slice(std::int64_t begin, std::int64_t end, const torch::Device& device) const;
 };
 
-CameraEffects draw_camera_effects(const SceneConfig& config, std::int64_t batch, Random& random);
+/// `extra` draws what only some options need (exposure jumps); by default `random`.
+CameraEffects draw_camera_effects(const SceneConfig& config, std::int64_t batch, Random& random,
+                                  Random* extra = nullptr);
+
+/// Lamps on the background that shine in one of the two frames.
+struct Lights {
+  torch::Tensor x, y, sigma;  ///< [B, K], pixels of frame 1; undefined where there are none
+  torch::Tensor color;        ///< [B, K, 3], light added at the centre
+  torch::Tensor on;           ///< [B, K, 2] float 0 or 1: in frame 1, in frame 2
+
+  [[nodiscard]] Lights slice(std::int64_t begin, std::int64_t end, const torch::Device& device) const;
+  /// Light added to frame 1 or 2 at points (x, y) [B, H, W] of frame 1: [B, 3, H, W].
+  [[nodiscard]] torch::Tensor glow(const torch::Tensor& at_x, const torch::Tensor& at_y, int frame) const;
+};
+
+Lights draw_lights(const SceneConfig& config, std::int64_t batch, std::int64_t height, std::int64_t width,
+                   Random& random);
 
 /// Average `image` [B, 3, H, W] along the displacement (vx, vy) [B, H, W] in pixels, over the shutter time around it.
 torch::Tensor motion_blur(const torch::Tensor& image, const torch::Tensor& vx, const torch::Tensor& vy,

@@ -3,6 +3,7 @@
 
 #include <torch/torch.h>
 
+#include <cmath>
 #include <cstdint>
 
 namespace ajna::synth {
@@ -37,5 +38,12 @@ class Random {
  private:
   at::Generator generator_;
 };
+
+/// Normal deviates made on `device` from a generator of their own.
+inline torch::Tensor device_normal(torch::IntArrayRef shape, std::uint64_t seed, const torch::Device& device) {
+  auto generator = at::globalContext().defaultGenerator(device).clone();
+  generator.set_current_seed(seed);
+  return torch::randn(shape, generator, torch::TensorOptions().device(device));
+}
 
 }  // namespace ajna::synth

@@ -17,6 +17,10 @@ struct SceneConfig {
   double polygon_weight = 1.0;     ///< of convex polygons and boxes
   double bar_weight = 1.0;         ///< of thin bars and branches
   double plate_weight = 0.25;      ///< of plates with holes
+  double trunk_weight = 0.0;       ///< of trees: an upright trunk with twigs, whose foot is the layer's centre
+  double plate_frame_probability = 0.5;  ///< of a plate that ends at a box around its hole
+  double hole_union_probability = 0.0;   ///< of a hole that is the union of a blob and a polygon
+  double placement_spread = 0.55;  ///< layer centres lie within this of the image centre, as a fraction of its sides
 
   // Motion, pixels per frame interval at the generated size
   std::string flow_distribution = "exponential";  ///< exponential, uniform or log_uniform
@@ -31,6 +35,21 @@ struct SceneConfig {
       0.25;                          ///< of scenes whose layers move along the background's motion, nearer ones faster
   double static_probability = 0.05;  ///< of scenes whose background does not move at all
 
+  // A camera that moves through a scene in depth, instead of layers that move each on their own ("off"). Depths are
+  // relative to the background's. The drawn displacement is that of something at the middle depth,
+  // sqrt(depth_near * depth_far): nearer layers move by more, whatever flow_max_px says.
+  std::string camera = "off";      ///< off, forward, sideways, fixate (sideways, turning back to the centre) or any
+  std::string surface = "wall";    ///< wall: planes across the view; floor: a ground plane, too; table: planes on a table
+  double depth_near = 0.1;         ///< nearest layer; depths are log-uniform
+  double depth_far = 0.9;          ///< farthest layer
+  double focal_min = 0.7;          ///< shortest focal length, in image widths
+  double focal_max = 1.2;          ///< longest
+  double camera_rotation = 0.15;   ///< standard deviation of the rotation's flow, relative to the displacement
+  double camera_height = 0.06;     ///< above the floor, drawn between half and twice this
+  double table_tilt_deg = 50.0;    ///< largest angle between the table's normal and the line of sight
+  double plane_tilt = 0.1;         ///< standard deviation of the slope of planes across the view
+  double independent_probability = 0.0;  ///< of a layer that also moves on its own
+
   // Appearance
   double blur_probability = 0.3;     ///< of motion blur, per scene
   double shutter = 0.5;              ///< longest open time as a fraction of the frame interval
@@ -41,10 +60,18 @@ struct SceneConfig {
   double color_change = 0.05;        ///< largest relative gain change per channel between the frames
   double gamma_change = 0.15;        ///< largest relative gamma change between the frames
 
+  // Change that is not motion
+  double blink_probability = 0.0;  ///< of a layer that is lit in one frame and dim in the other
+  double light_probability = 0.0;  ///< of each of three lamps that shine in one frame only
+  double jump_probability = 0.0;   ///< of scenes whose exposure jumps between the frames
+  double jump_stops = 1.5;         ///< largest jump, in powers of two
+
   // Textures
   std::int64_t bank_size = 192;     ///< procedural textures in the bank
   std::int64_t texture_size = 256;  ///< side of a texture, pixels
-  double photo_probability = 0.5;   ///< of taking a photograph crop where photographs were given
+  double flat_texture_share = 0.0;        ///< of the bank's textures that are nearly uniform
+  double repetitive_texture_share = 0.0;  ///< of the bank's textures that are stripes or checks
+  double photo_probability = 0.5;         ///< of taking a photograph crop where photographs were given
 
   double motion_boundary_px = 0.5;  ///< flow step between neighbours of different layers that counts as boundary
 };

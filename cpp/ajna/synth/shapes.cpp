@@ -74,9 +74,11 @@ Tensor polygons(std::int64_t rows, const RasterGrid& grid, Random& random) {
 
 }  // namespace
 
-ShapeSet::ShapeSet(const SceneConfig& config, std::int64_t rows, Random& random) {
+ShapeSet::ShapeSet(const SceneConfig& config, std::int64_t rows, Random& random, Random* extra) {
+  Random& more = extra != nullptr ? *extra : random;
   const auto grid = raster_grid();
-  const double total = config.blob_weight + config.polygon_weight + config.bar_weight + config.plate_weight;
+  const double plates_to = config.blob_weight + config.polygon_weight + config.bar_weight + config.plate_weight;
+  const double total = plates_to + config.trunk_weight;
   const auto pick = random.uniform({rows}, 0, total);
   const double polygon_from = config.blob_weight, bar_from = polygon_from + config.polygon_weight,
                plate_from = bar_from + config.bar_weight;
@@ -85,12 +87,22 @@ ShapeSet::ShapeSet(const SceneConfig& config, std::int64_t rows, Random& random)
   const auto blob = blobs(rows, grid, random), polygon = polygons(rows, grid, random);
   raster_ = torch::where(by_row(pick < polygon_from), blob, polygon);
   // A plate is everything but a hole; half of the plates end at a box around it.
-  const auto hole =
+  auto hole =
       torch::where(by_row(random.chance({rows}, 0.5)), blob, polygon) - random.uniform({rows, 1, 1}, 0, 0.3);
+  if (config.hole_union_probability > 0) {
+    const auto joined = torch::maximum(blob, polygon) - more.uniform({rows, 1, 1}, 0, 0.3);
+    hole = torch::where(by_row(more.chance({rows}, config.hole_union_probability)), joined, hole);
+  }
   const auto side = random.uniform({rows, 1, 1}, 1.05, 1.25);
   const auto frame = side - torch::maximum(grid.x.abs(), grid.y.abs());
-  const auto plate = torch::where(by_row(random.chance({rows}, 0.5)), torch::minimum(frame, -hole), -hole);
+  const auto plate =
+      torch::where(by_row(random.chance({rows}, config.plate_frame_probability)), torch::minimum(frame, -hole), -hole);
   unbounded_ = pick >= plate_from;
+  upright_ = torch::zeros({rows}, torch::kBool);
+  if (config.trunk_weight > 0) {
+    upright_ = pick >= plates_to;
+    unbounded_ = unbounded_.logical_and(upright_.logical_not());
+  }
   raster_ = torch::where(by_row(unbounded_), plate, raster_).contiguous();
 
   is_bar_ = (pick >= bar_from).logical_and(pick < plate_from);
@@ -110,12 +122,36 @@ ShapeSet::ShapeSet(const SceneConfig& config, std::int64_t rows, Random& random)
   }
   segments_ = torch::stack(ends, 1);
   radius_ = torch::stack(radii, 1);
+  if (config.trunk_weight > 0) {
+    plant_trees(more);
+  }
+}
+
+/// Replace the bars of upright rows by trees: a trunk up from the origin that leans a little, and twigs on it.
+void ShapeSet::plant_trees(Random& random) {
+  const std::int64_t rows = upright_.size(0);
+  const auto height = random.uniform({rows}, 3.0, 9.0), lean = random.normal({rows}, 0.04);
+  const auto thickness = random.log_uniform({rows}, 0.06, 0.16), zero = torch::zeros({rows});
+  std::vector<Tensor> ends = {torch::stack({zero, zero, lean * height, -height}, -1)};
+  std::vector<Tensor> radii = {thickness};
+  for (std::int64_t i = 1; i < kSegments; ++i) {
+    const auto from = random.uniform({rows}, 0.8, 4.0), length = random.uniform({rows}, 0.4, 1.6);
+    const auto rise = random.uniform({rows}, 0.2, 1.3);
+    const auto side = torch::where(random.chance({rows}, 0.5), torch::ones({rows}), -torch::ones({rows}));
+    const auto x0 = lean * from;
+    ends.push_back(torch::stack({x0, -from, x0 + side * length * rise.cos(), -from - length * rise.sin()}, -1));
+    radii.push_back(torch::where(from < height, thickness * random.uniform({rows}, 0.25, 0.6), zero - 10.0));
+  }
+  segments_ = torch::where(upright_.view({rows, 1, 1}), torch::stack(ends, 1), segments_);
+  radius_ = torch::where(upright_.view({rows, 1}), torch::stack(radii, 1), radius_);
+  is_bar_ = is_bar_.logical_or(upright_);
 }
 
 ShapeSet ShapeSet::slice(std::int64_t begin, std::int64_t end, const torch::Device& device) const {
   ShapeSet part;
   part.raster_ = raster_.slice(0, begin, end).to(device);
   part.unbounded_ = unbounded_.slice(0, begin, end).to(device);
+  part.upright_ = upright_.slice(0, begin, end).to(device);
   part.is_bar_ = is_bar_.slice(0, begin, end).to(device);
   part.segments_ = segments_.slice(0, begin, end).to(device);
   part.radius_ = radius_.slice(0, begin, end).to(device);

@@ -114,6 +114,20 @@ Tensor flat_patches(std::int64_t size, Random& random) {
   return picture + octave_noise(1, size, random) * random.number(0.0, 0.02);
 }
 
+Tensor make_texture_of(const TextureMix& mix, std::int64_t size, Random& random) {
+  if (mix.flat <= 0 && mix.repetitive <= 0) {
+    return make_texture(size, random);
+  }
+  const double share = random.number();
+  if (share < mix.flat) {
+    return (random.number() < 0.5 ? flat_patches(size, random) : gradient(size, random)).clamp(0, 1);
+  }
+  if (share < mix.flat + mix.repetitive) {
+    return (random.number() < 0.5 ? stripes(size, random) : checks(size, random)).clamp(0, 1);
+  }
+  return make_texture(size, random);
+}
+
 /// Continue a coordinate by mirroring at the borders of [0, size - 1].
 Tensor mirrored(const Tensor& x, std::int64_t size) {
   const double span = static_cast<double>(size - 1);
@@ -143,7 +157,7 @@ Tensor make_texture(std::int64_t size, Random& random) {
 }
 
 TextureBank::TextureBank(std::int64_t count, std::int64_t size, std::uint64_t seed, const torch::Device& device,
-                         const std::optional<Tensor>& photos)
+                         const std::optional<Tensor>& photos, const TextureMix& mix)
     : procedural_(count), size_(size) {
   const torch::NoGradGuard no_grad;
   if (photos) {
@@ -158,7 +172,7 @@ TextureBank::TextureBank(std::int64_t count, std::int64_t size, std::uint64_t se
   bank_ = torch::empty({1, 3, (procedural_ + photos_) * size, size});
   Random random(seed);
   for (std::int64_t i = 0; i < procedural_; ++i) {
-    bank_[0].slice(1, i * size, (i + 1) * size).copy_(make_texture(size, random));
+    bank_[0].slice(1, i * size, (i + 1) * size).copy_(make_texture_of(mix, size, random));
   }
   for (std::int64_t i = 0; i < photos_; ++i) {
     const std::int64_t row = (procedural_ + i) * size;

@@ -10,6 +10,12 @@
 
 namespace ajna::synth {
 
+/// Which textures a bank holds beyond the general mix.
+struct TextureMix {
+  double flat = 0.0;        ///< share of nearly uniform textures
+  double repetitive = 0.0;  ///< share of stripes and checks
+};
+
 /// A bank of square textures that scenes sample from: multi-octave noise, dead leaves, stripes, checks, gradients,
 /// flat patches, and crops of photographs where given.
 class TextureBank {
@@ -17,7 +23,7 @@ class TextureBank {
   /// `count` procedural textures of `size` x `size` from `seed`, followed by `photos`: uint8 [N, 3, size, size] RGB.
   /// Throws Error(kInvalidArgument) for photos of another shape or dtype.
   TextureBank(std::int64_t count, std::int64_t size, std::uint64_t seed, const torch::Device& device,
-              const std::optional<torch::Tensor>& photos = std::nullopt);
+              const std::optional<torch::Tensor>& photos = std::nullopt, const TextureMix& mix = {});
 
   [[nodiscard]] std::int64_t procedural_count() const noexcept { return procedural_; }
   [[nodiscard]] std::int64_t photo_count() const noexcept { return photos_; }
@@ -35,7 +41,7 @@ class TextureBank {
   torch::Tensor bank_;  // [1, 3, N * size, size]: one tall picture, so that a look-up copies no texture
 };
 
-/// One procedural texture, float [3, size, size] in [0, 1].
+/// One procedural texture of the general mix, float [3, size, size] in [0, 1].
 torch::Tensor make_texture(std::int64_t size, Random& random);
 
 }  // namespace ajna::synth

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The command line: ``ajna predict | video | task | evaluate | calibrate | export | info | losses | bench | study``.
+"""The command line, ``ajna COMMAND``: one module per command or group.
 
 Commands import what is heavy (torch, OpenCV, matplotlib) inside their functions, so that ``--help`` is quick. They
 raise ordinary exceptions; :func:`ajna.cli.errors.run` alone turns those into one sentence and an exit code.
@@ -22,6 +22,7 @@ from ajna.cli.info import info
 from ajna.cli.losses import losses
 from ajna.cli.predict import predict
 from ajna.cli.study import study
+from ajna.cli.synth import app as synth_app
 from ajna.cli.task import task
 from ajna.cli.video import video
 
@@ -37,6 +38,7 @@ for _command in (predict, video, task, evaluate, calibrate, export, info, losses
     app.command()(_command)
 app.add_typer(bench, name="bench")
 app.add_typer(study)
+app.add_typer(synth_app, name="synth")
 
 
 def _print_version(wanted: bool) -> None:

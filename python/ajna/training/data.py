@@ -10,7 +10,7 @@ from typing import Any
 import lightning.pytorch as pl
 import torch
 
-from ajna import synth
+from ajna.training.mix import MixedScenes, merge_scenes, scene_configs
 from ajna.training.options import Stage, ValidationOptions, check_stages
 from ajna.training.seeds import validation_seed
 from ajna.training.stream import Batch, SceneStream
@@ -34,7 +34,7 @@ class SyntheticData(pl.LightningDataModule):
 
     Args:
         stages: the curriculum, in steps.
-        scene: options of ``ajna.synth.SceneConfig`` that differ from its defaults.
+        scene: options of ``ajna.synth.SceneConfig`` that differ from its defaults; ``preset`` or ``mix`` names scenes.
         validation: the fixed validation scenes; its ``scene`` options are applied over ``scene``.
         seed: of the sample stream. Equal seeds give equal samples, also over a resume.
         prefetch: generated batches held ready by a background thread; 0 generates between the steps.
@@ -63,17 +63,20 @@ class SyntheticData(pl.LightningDataModule):
         # Checked here so that a misspelt option stops the run before it begins.
         for stage in self.stages:
             self._scenes_of(stage)
-        self._validation_scenes = synth.scene_config({**self.scene, **self.validation.scene})
-        self._generator: tuple[dict[str, Any], synth.PairGenerator] | None = None
+        self._validation_scenes = merge_scenes(self.scene, self.validation.scene)
+        scene_configs(self._validation_scenes)
+        self._generator: tuple[dict[str, Any], MixedScenes] | None = None
 
-    def _scenes_of(self, stage: Stage) -> synth.SceneConfig:
-        return synth.scene_config({**self.scene, **stage.scene})
+    def _scenes_of(self, stage: Stage) -> dict[str, Any]:
+        options = merge_scenes(self.scene, stage.scene)
+        scene_configs(options)
+        return options
 
-    def generator(self, stage: Stage, device: torch.device | str = "cpu") -> synth.PairGenerator:
+    def generator(self, stage: Stage, device: torch.device | str = "cpu") -> MixedScenes:
         """The generator of a stage's scenes. The latest is kept: it holds the textures, hundreds of megabytes."""
         if self._generator is None or self._generator[0] != stage.scene:
             self._generator = None  # freed before the next is made
-            made = make_generator(self._scenes_of(stage), device, self.photos, self.photo_count, bank_seed=self.seed)
+            made = MixedScenes(self._scenes_of(stage), device, self.photos, self.photo_count, bank_seed=self.seed)
             self._generator = (stage.scene, made)
         return self._generator[1]
 
@@ -88,7 +91,7 @@ class SyntheticData(pl.LightningDataModule):
         """The validation scenes: uint8 frames, flow in pixels and occlusion, on the CPU."""
         options = self.validation
         # Another texture bank than any training run's, so that no texture was seen.
-        generator = make_generator(
+        generator = MixedScenes(
             self._validation_scenes, "cpu", self.photos, self.photo_count, bank_seed=validation_seed(0)
         )
         batches = []
@@ -121,13 +124,3 @@ class SyntheticData(pl.LightningDataModule):
 
     def val_dataloader(self) -> Batches:
         return Batches(self.validation_batches())
-
-
-def make_generator(
-    config: synth.SceneConfig, device: torch.device | str, photos: str | None, photo_count: int, bank_seed: int
-) -> synth.PairGenerator:
-    """A scene generator whose texture bank follows from ``bank_seed``."""
-    cuts = None
-    if photos is not None:
-        cuts = synth.load_photos(photos, photo_count, config.texture_size, bank_seed)
-    return synth.PairGenerator(config, bank_seed, device, cuts)
