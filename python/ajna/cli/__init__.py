@@ -19,6 +19,7 @@ from ajna.cli.export import export
 from ajna.cli.info import info
 from ajna.cli.losses import losses
 from ajna.cli.predict import predict
+from ajna.cli.sim import bench, sim
 from ajna.cli.video import video
 
 app = typer.Typer(
@@ -29,7 +30,7 @@ app = typer.Typer(
     help="Optical flow and its per-pixel uncertainty in one pass.",
     epilog="Example: ajna predict frame1.png frame2.png --out result",
 )
-for _command in (predict, video, evaluate, export, info, losses):
+for _command in (predict, video, evaluate, export, info, losses, sim, bench):
     app.command()(_command)
 
 

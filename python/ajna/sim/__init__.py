@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: MIT
+# ruff: noqa: E402 (what fails without MuJoCo comes after the sentence that says so)
 """Simulated worlds for the paper's closed-loop experiments: MuJoCo physics, a rendered camera, a quadrotor, and trials.
 
 Needs the extra ``sim`` (``pip install "ajna[sim]"``) and, for pictures and depth, EGL or OSMesa software rendering.

@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Mesh:
-    """Vertices [V, 3] in metres, texture coordinates [V, 2] (1 = one tile), triangles [F, 3], outward counterclockwise."""
+    """Vertices [V, 3] in metres, texture [V, 2] (1 = a tile), triangles [F, 3] (counterclockwise outside)."""
 
     vertices: Floats
     texcoords: Floats
@@ -95,9 +95,7 @@ def icosphere(radius: float, rings: int = 8, sides: int = 14, tiles: int = 2) ->
     """A sphere of ``rings`` x ``sides`` cells, its texture wrapped around it ``tiles`` times."""
     theta = np.linspace(1e-3, np.pi - 1e-3, rings + 1)[:, None]
     phi = np.linspace(0, 2 * np.pi, sides + 1)[None]
-    points = np.stack(
-        np.broadcast_arrays(np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)), -1
-    )
+    points = np.stack(np.broadcast_arrays(np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)), -1)
     texture = np.stack(np.broadcast_arrays(phi / (2 * np.pi) * 2 * tiles, theta / np.pi * tiles), -1)
     faces = _grid_faces(rings + 1, sides + 1)[:, ::-1]
     return Mesh(radius * points.reshape(-1, 3), texture.reshape(-1, 2), faces.astype(np.int32))

@@ -106,9 +106,7 @@ class Renderer:
 
     def _draw(self, view: Any, option: Any, rect: Any) -> None:
         self._gl.make_current()
-        mujoco.mjv_updateScene(
-            self.model, self._data, option, None, view, mujoco.mjtCatBit.mjCAT_ALL, self._scene
-        )
+        mujoco.mjv_updateScene(self.model, self._data, option, None, view, mujoco.mjtCatBit.mjCAT_ALL, self._scene)
         mujoco.mjr_render(rect, self._scene, self._context)
 
     def color(self, qpos: NDArray[np.float64], offset_right_m: float = 0.0) -> NDArray[np.float32]:

@@ -94,7 +94,7 @@ def add_vehicle(spec: Any, config: VehicleConfig, camera_pitch_rad: float = 0.0)
         add(geom.mjGEOM_BOX, [config.motor_distance_m / 2, 0.015, 0.008], [0, 0, 0], dark, quat=turned)
     # Motors in turn: front left, front right, rear right, rear left; neighbours spin in opposite directions.
     for i, (x, y) in enumerate([(arm, arm), (arm, -arm), (-arm, -arm), (-arm, arm)]):
-        add(geom.mjGEOM_CYLINDER, [radius, 0.008, 0], [x, y, 0.03], dark[:3] + [0.7])
+        add(geom.mjGEOM_CYLINDER, [radius, 0.008, 0], [x, y, 0.03], [*dark[:3], 0.7])
         body.add_site(name=f"rotor{i}", pos=[x, y, 0])
         actuator = spec.add_actuator(name=f"rotor{i}", target=f"rotor{i}", trntype=mujoco.mjtTrn.mjTRN_SITE)
         actuator.gear = [0, 0, 1, 0, 0, config.torque_per_thrust_m * (-1) ** i]

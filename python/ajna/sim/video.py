@@ -18,7 +18,12 @@ __all__ = ["EpisodeVideo", "overlay"]
 
 RgbImage = NDArray[np.uint8]
 # distance in metres, azimuth and elevation in degrees, of the view from outside
-_VIEWS = {"navigate": (3.2, 0.0, -22.0), "gap": (2.6, 35.0, -20.0), "dodge": (4.5, 35.0, -15.0), "pile": (1.1, 30.0, -40.0)}
+_VIEWS = {
+    "navigate": (3.2, 0.0, -22.0),
+    "gap": (2.6, 35.0, -20.0),
+    "dodge": (4.5, 35.0, -15.0),
+    "pile": (1.1, 30.0, -40.0),
+}
 
 
 def overlay(rgb: RgbImage, output: Output) -> RgbImage:
@@ -37,7 +42,7 @@ def overlay(rgb: RgbImage, output: Output) -> RgbImage:
 
 
 class EpisodeVideo:
-    """Records a trial: pass it as ``watch`` to run_episode, with its ``renderer``; leave the block to finish the file."""
+    """Records a trial: pass it as ``watch`` to run_episode, with its ``renderer``; leaving the block ends the file."""
 
     def __init__(self, world: World, path: Path) -> None:
         self._world = world
@@ -63,7 +68,5 @@ class EpisodeVideo:
         distance, azimuth, elevation = _VIEWS[self._world.task]
         frame = observation.frame
         target = frame.qpos[:3] + np.array([0.3, 0, 0]) if self._world.task != "pile" else np.zeros(3)
-        outside = self.renderer.outside(
-            frame.qpos, target, distance, azimuth, elevation, (camera.width, camera.height)
-        )
+        outside = self.renderer.outside(frame.qpos, target, distance, azimuth, elevation, (camera.width, camera.height))
         self._writer.write(np.concatenate([overlay(frame.rgb, output), outside], axis=1))

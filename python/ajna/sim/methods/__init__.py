@@ -11,10 +11,10 @@ from typing import Any
 from ajna import _core
 from ajna.sim.methods.adapter import InstanceMasks, MonocularDepth, Network
 from ajna.sim.methods.base import Perception, PilotedMethod
+from ajna.sim.methods.blind import Blind
 from ajna.sim.methods.depth import D435iSensor, DepthPerception, StereoSensor, TrueDepthSensor
 from ajna.sim.methods.events import EventPerception
 from ajna.sim.methods.flow import GapFlyt, OcclusionMask
-from ajna.sim.methods.blind import Blind
 
 __all__ = ["METHODS", "MethodInfo", "make_method"]
 
@@ -49,9 +49,7 @@ METHODS: dict[str, MethodInfo] = {
 }
 
 
-def make_method(
-    name: str, weights: str | Path | None = None, size: tuple[int, int] | None = None
-) -> Any:
+def make_method(name: str, weights: str | Path | None = None, size: tuple[int, int] | None = None) -> Any:
     """A method by name. ``weights``, ``size``: file and (height, width) of the network of a method that takes one.
 
     Raises:

@@ -53,9 +53,7 @@ class PilotedMethod:
             ValueError: the method does not do this task.
         """
         if setup.task not in self.tasks:
-            raise ValueError(
-                f"method '{self.name}' does not {setup.task}; it does: {', '.join(sorted(self.tasks))}"
-            )
+            raise ValueError(f"method '{self.name}' does not {setup.task}; it does: {', '.join(sorted(self.tasks))}")
         self._perception.reset(setup)
         self._task = setup.task
         self._navigate, self._gap, self._dodge = NavigatePilot(setup), GapPilot(setup), DodgePilot(setup)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,8 +35,8 @@ class D435iSensor:
     """True depth with the faults of an active stereo camera.
 
     Range 0.3 to 10 m; noise that grows with the square of the distance (stereo with 50 mm baseline and 0.08 px
-    matching error at this image's focal length); holes where depth jumps and, at random, in patches; and nothing on
-    surfaces that move faster than its matching window follows: moving bodies are seen one frame late.
+    matching error at this image's focal length); holes where depth jumps and, at random, in patches; things that move
+    by themselves are seen where they were one frame ago.
     """
 
     needs = frozenset({"depth"})
@@ -80,7 +80,7 @@ class StereoSensor:
     needs = frozenset({"rgb", "right"})
     noise = 0.05
     open_px = 3
-    BASELINE_M = {"navigate": 0.20, "gap": 0.15, "dodge": 0.20, "pile": 0.05}
+    BASELINE_M: ClassVar[dict[str, float]] = {"navigate": 0.20, "gap": 0.15, "dodge": 0.20, "pile": 0.05}
 
     def __init__(self) -> None:
         import cv2

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ajna.baselines import FlowMethod, forward_backward_difference, make_baseline
+from ajna.baselines import FlowMethod, make_baseline
 from ajna.sim.methods.base import NOMINAL_DISTANCE_M, Map, Mask, largest_region, opened
 from ajna.sim.observation import Observation, TaskSetup
 

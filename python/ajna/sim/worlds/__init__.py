@@ -27,9 +27,7 @@ WORLDS: dict[str, Callable[[int, CameraModel, VehicleConfig], World]] = {
 }
 
 
-def make_world(
-    name: str, seed: int, camera: CameraModel | None = None, vehicle: VehicleConfig | None = None
-) -> World:
+def make_world(name: str, seed: int, camera: CameraModel | None = None, vehicle: VehicleConfig | None = None) -> World:
     """The world of a name and a seed, compiled; camera and vehicle as in the paper unless given.
 
     Raises:

@@ -38,24 +38,29 @@ def _shape(kind: str) -> Mesh:
         body = box((length, width * 0.86, height * 0.5), 0.12)
         cabin = box((length * 0.5, width * 0.7, height * 0.42), 0.12).moved((-0.01, 0, height * 0.29))
         wheels = [
-            tube(np.array([[x, y - 0.007, -height * 0.28], [x, y + 0.007, -height * 0.28]]), np.full(2, height * 0.22), 8)
+            tube(
+                np.array([[x, y - 0.007, -height * 0.28], [x, y + 0.007, -height * 0.28]]), np.full(2, height * 0.22), 8
+            )
             for x in (-length * 0.3, length * 0.3)
             for y in (-width / 2 + 0.007, width / 2 - 0.007)
         ]
         return merged([body, cabin, *wheels])
     if kind == "airplane":
         x = np.linspace(-length / 2, length / 2, 6)
-        fuselage = tube(np.c_[x, np.zeros(6), np.zeros(6)], np.array([0.012, 0.03, 0.036, 0.036, 0.03, 0.008]), 10, 0.15)
+        fuselage = tube(
+            np.c_[x, np.zeros(6), np.zeros(6)], np.array([0.012, 0.03, 0.036, 0.036, 0.03, 0.008]), 10, 0.15
+        )
         wing = box((0.085, width, 0.012), 0.2).moved((0.015, 0, 0.012))
         tail = box((0.05, width * 0.42, 0.008), 0.2).moved((-length / 2 + 0.03, 0, 0.01))
         fin = box((0.055, 0.008, height * 0.62), 0.2).moved((-length / 2 + 0.03, 0, height * 0.31 - 0.01))
         return merged([fuselage, wing, tail, fin])
     parts = [box((0.16, 0.07, height * 0.5), 0.15)]
+    up = np.array([0.0, 0.0, 1.0])
     for x, y in [(1, 1), (1, -1), (-1, 1), (-1, -1)]:
         end = np.array([x * (length / 2 - 0.075), y * (width / 2 - 0.075), 0.03])
         parts.append(tube(np.stack([[0, 0, 0.0], end * 0.5, end]), np.full(3, 0.011), 6, 0.1))
-        parts.append(tube(np.stack([end - [0, 0, 0.03], end + [0, 0, height / 2 - 0.035]]), np.full(2, 0.016), 8, 0.1))
-        disc = np.stack([end + [0, 0, height / 2 - 0.04], end + [0, 0, height / 2 - 0.03]])
+        parts.append(tube(end + up * np.array([[-0.03], [height / 2 - 0.035]]), np.full(2, 0.016), 8, 0.1))
+        disc = end + up * np.array([[height / 2 - 0.04], [height / 2 - 0.03]])
         parts.append(tube(disc, np.full(2, 0.075), 12, 0.1))
     parts.append(box((0.05, 0.05, height * 0.5), 0.1).moved((0, 0, -height * 0.25)))
     return merged(parts)
@@ -103,9 +108,7 @@ def dodge(seed: int, camera: CameraModel, vehicle: VehicleConfig, kind: str | No
         velocity = velocity + np.array([0, 0, GRAVITY * flight / 2])
     heading = np.arctan2(velocity[1], velocity[0])
     # It waits far above the room until it is thrown.
-    body = scene.spec.worldbody.add_body(
-        name="thrown", pos=[0, 0, 40], gravcomp=1.0 if kind == "quadrotor" else 0.0
-    )
+    body = scene.spec.worldbody.add_body(name="thrown", pos=[0, 0, 40], gravcomp=1.0 if kind == "quadrotor" else 0.0)
     body.add_freejoint(name="thrown")
     scene.show(_shape(kind), scene.material(bank.colored()), body=body)
     _solids(scene, kind, body)

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from ajna.sim.camera import CameraModel
@@ -90,7 +92,7 @@ def forest(seed: int, camera: CameraModel, vehicle: VehicleConfig) -> World:
         scene.show(crowns[random.integers(len(crowns))], leaves[random.integers(len(leaves))], (x, y, 0), yaw)
         turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
         points = axis[[0, 1, 3]] @ turn.T + [x, y, 0]  # to about 3.5 m; nobody flies higher
-        for a, b in zip(points[:-1], points[1:], strict=True):
+        for a, b in pairwise(points):
             scene.solid("capsule", [radius], fromto=[*a, *b])
         outlines.append(Outline.circle(x, y, radius))
     return World(

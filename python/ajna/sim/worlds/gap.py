@@ -52,9 +52,7 @@ def _random(random: np.random.Generator) -> Contour:
     amplitude = random.normal(0, 1, 4) * np.array([0.16, 0.10, 0.07, 0.05])
     phase = random.uniform(0, 2 * np.pi, 4)
     order = np.arange(2, 6)
-    return lambda a: np.maximum(
-        1 + (amplitude * np.sin(np.asarray(a)[..., None] * order + phase)).sum(-1), 0.45
-    )
+    return lambda a: np.maximum(1 + (amplitude * np.sin(np.asarray(a)[..., None] * order + phase)).sum(-1), 0.45)
 
 
 SHAPES: dict[str, Callable[[np.random.Generator], Contour]] = {
@@ -67,11 +65,13 @@ SHAPES: dict[str, Callable[[np.random.Generator], Contour]] = {
 
 
 def _fitted(contour: Contour, vehicle: VehicleConfig) -> Contour:
-    """The contour, scaled so that the vehicle fits through its middle with TOLERANCE_M to spare on the tightest side."""
+    """The contour, scaled so that the vehicle fits through its middle with TOLERANCE_M to spare."""
     width = vehicle.half_width_m + TOLERANCE_M
     height = vehicle.half_height_m + TOLERANCE_M
     angle = np.linspace(-np.pi, np.pi, 721)
-    needed = np.minimum(width / np.maximum(np.abs(np.cos(angle)), 1e-9), height / np.maximum(np.abs(np.sin(angle)), 1e-9))
+    needed = np.minimum(
+        width / np.maximum(np.abs(np.cos(angle)), 1e-9), height / np.maximum(np.abs(np.sin(angle)), 1e-9)
+    )
     scale = float((needed / contour(angle)).max())
     return lambda a: scale * contour(a)
 

@@ -11,10 +11,8 @@ from ajna.sim.worlds.scene import Scene
 __all__ = ["add_room"]
 
 
-def add_room(
-    scene: Scene, x: tuple[float, float], half_width_m: float, height_m: float, pictures: int = 10
-) -> None:
-    """A room from x[0] to x[1], 2 * half_width_m wide; walls, floor and ceiling are textured, solid, and hung with boards."""
+def add_room(scene: Scene, x: tuple[float, float], half_width_m: float, height_m: float, pictures: int = 10) -> None:
+    """A room from x[0] to x[1], 2 * half_width_m wide, textured and solid, with boards on its walls."""
     bank = scene.surfaces
     scene.ground(scene.material(bank.surface("concrete"), repeat=0.5), half_size_m=20.0)
     thickness = 0.1
