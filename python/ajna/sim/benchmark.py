@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: MIT
+"""The paper's tables as numbers, and ours beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ajna import _core
+from ajna.sim.methods import METHODS
+from ajna.sim.worlds import WORLDS
+
+__all__ = ["EXPERIMENTS", "PaperRow", "Row", "as_markdown", "rows_of", "task_of"]
+
+
+@dataclass(frozen=True)
+class PaperRow:
+    """A row of the paper's Table 1 or 2, or of its text: rates in percent, lengths as printed; None: not given."""
+
+    method: str | None  # our name of it; None: not among ours
+    title: str
+    detection_rate: float | None = None
+    success_rate: float | None = None
+    path_increase_percent: float | None = None
+    safe_point_error_px: float | None = None
+    run_time_ms: float | None = None
+    gflops: float | None = None
+    mparameters: float | None = None
+
+
+_AJNA = {"run_time_ms": 10.1, "gflops": 6.3, "mparameters": 2.7}
+_OCCMASK = {"run_time_ms": 31.4, "gflops": 62.7, "mparameters": 20.6}
+_MIDAS_S = {"gflops": 43.7, "mparameters": 21.1}
+_MIDAS = {"gflops": 1052.9, "mparameters": 344.6}
+
+# Experiment -> rows; the world has the experiment's name.
+EXPERIMENTS: dict[str, tuple[PaperRow, ...]] = {
+    "dodge": (
+        PaperRow("depth", "true depth"),
+        PaperRow("d435i", "D435i", 100.0, run_time_ms=1.0),
+        PaperRow("midas-s", "MiDaS-S", 0.0, run_time_ms=12.0, **_MIDAS_S),
+        PaperRow("midas", "MiDaS", 3.1, run_time_ms=137.8, **_MIDAS),
+        PaperRow("evdodgenet", "EVDodgeNet (SegNet)", 40.4, run_time_ms=2.5, gflops=0.2, mparameters=0.03),
+        PaperRow(None, "EVDodgeNet (DB + H + SegFlowNet)", 90.7, run_time_ms=11.0, gflops=5.2, mparameters=3.6),
+        PaperRow("events", "event density"),
+        PaperRow("occmask", "OccMask", 74.8, **_OCCMASK),
+        PaperRow("morpheyes", "MorphEyes"),
+        PaperRow(None, "Ajna", 89.2, 83.3, **_AJNA),
+    ),
+    "gap": (
+        PaperRow("depth", "true depth"),
+        PaperRow(None, "GapFlyt (PWC-Net)", 94.2, run_time_ms=91.0, gflops=90.8, mparameters=8.75),
+        PaperRow(None, "GapFlyt (FlowNet2)", 93.0, run_time_ms=124.0, gflops=24836.4, mparameters=162.5),
+        PaperRow(None, "GapFlyt (SpyNet)", 74.0, run_time_ms=70.0, gflops=149.8, mparameters=1.2),
+        PaperRow("gapflyt", "GapFlyt (DIS)"),
+        PaperRow("d435i", "D435i", 100.0, run_time_ms=1.0),
+        PaperRow("midas-s", "MiDaS-S", 0.0, run_time_ms=12.0, **_MIDAS_S),
+        PaperRow("midas", "MiDaS", 30.1, run_time_ms=137.8, **_MIDAS),
+        PaperRow("occmask", "OccMask", 56.2, **_OCCMASK),
+        PaperRow("morpheyes", "MorphEyes"),
+        PaperRow(None, "Ajna", 91.0, **_AJNA),
+    ),
+    "forest": (
+        PaperRow("depth", "true depth"),
+        PaperRow("morpheyes", "MorphEyes", None, 99.0, 0.6, 1.1, 2.5),
+        PaperRow("midas-s", "MiDaS-S", None, 32.0, 7.8, 6.8, 13.4, **_MIDAS_S),
+        PaperRow("midas", "MiDaS", None, 97.0, 1.0, 1.1, 139.2, **_MIDAS),
+        PaperRow("occmask", "OccMask", None, 0.0, None, 40.0, 35.3, 62.7, 20.6),
+        PaperRow("d435i", "D435i"),
+        PaperRow(None, "Ajna", None, 92.0, 2.7, 4.1, 11.6, 6.3, 2.7),
+    ),
+    "indoor-forest": (
+        PaperRow("depth", "true depth"),
+        PaperRow("d435i", "D435i"),
+        PaperRow("morpheyes", "MorphEyes"),
+        PaperRow("midas-s", "MiDaS-S", **_MIDAS_S),
+        PaperRow("midas", "MiDaS", **_MIDAS),
+        PaperRow("occmask", "OccMask"),
+        PaperRow(None, "Ajna", None, 86.0, **_AJNA),
+    ),
+    "boxes": (
+        PaperRow("depth", "true depth"),
+        PaperRow("d435i", "D435i"),
+        PaperRow("morpheyes", "MorphEyes"),
+        PaperRow("midas-s", "MiDaS-S", **_MIDAS_S),
+        PaperRow("midas", "MiDaS", **_MIDAS),
+        PaperRow("occmask", "OccMask"),
+        PaperRow(None, "Ajna", None, 82.0, **_AJNA),
+    ),
+    "pile": (
+        PaperRow("depth", "true depth"),
+        PaperRow("d435i", "D435i"),
+        PaperRow("morpheyes", "MorphEyes"),
+        PaperRow("midas-s", "MiDaS-S", **_MIDAS_S),
+        PaperRow("midas", "MiDaS", **_MIDAS),
+        PaperRow("mask-rcnn", "Mask R-CNN"),
+        PaperRow("pointrend", "PointRend"),
+        PaperRow("occmask", "OccMask"),
+    ),
+}
+
+
+def task_of(world: str) -> str:
+    """What is flown in a world, without making it.
+
+    Raises:
+        ValueError: for an unknown world (the nearest is named).
+    """
+    if world not in WORLDS:
+        near = _core.nearest_name(world, list(WORLDS))
+        hint = f"did you mean '{near}'? " if near else ""
+        raise ValueError(f"unknown world '{world}'; {hint}Known: {', '.join(WORLDS)}")
+    return world if world in ("gap", "dodge", "pile") else "navigate"
+
+
+@dataclass
+class Row:
+    """The paper's row and our summary (see :func:`ajna.sim.statistics.summarize`), where there is one."""
+
+    paper: PaperRow
+    measured: dict[str, Any] | None = None
+
+    @property
+    def method(self) -> str | None:
+        return self.paper.method
+
+    @property
+    def needs_weights(self) -> bool:
+        return self.method is not None and METHODS[self.method].needs_weights
+
+    @property
+    def note(self) -> str:
+        """Why there are no numbers of ours; empty where there are."""
+        if self.measured is not None:
+            return ""
+        return "weights not given" if self.needs_weights else "not run"
+
+    def to_json(self) -> dict[str, Any]:
+        paper = {key: value for key, value in vars(self.paper).items() if key not in ("method", "title")}
+        return {"method": self.method, "title": self.paper.title, "paper": paper, "measured": self.measured,
+                "note": self.note}  # fmt: skip
+
+
+def rows_of(experiment: str, methods: Sequence[str] | None = None) -> list[Row]:
+    """The rows of an experiment that can be run (all rows where ``methods`` is None).
+
+    Raises:
+        ValueError: an unknown experiment, or a method that is not in it.
+    """
+    task_of(experiment)
+    rows = [Row(row) for row in EXPERIMENTS[experiment]]
+    known = [row.method for row in rows if row.method is not None]
+    for name in methods or []:
+        if name not in known:
+            near = _core.nearest_name(name, known)
+            hint = f"did you mean '{near}'? " if near else ""
+            raise ValueError(f"'{name}' is not a method of '{experiment}'; {hint}Known: {', '.join(known)}")
+    if methods is None:
+        return rows
+    return [row for row in rows if row.method in methods]
+
+
+def _number(value: float | None, digits: int = 1) -> str:
+    return "–" if value is None else f"{value:.{digits}f}"
+
+
+def _measured(record: dict[str, Any] | None, key: str, scale: float = 1.0) -> str:
+    """A figure with its interval; a dash where it does not apply."""
+    if record is None or record.get(key) is None:
+        return "–"
+    low, high = record[f"{key}_ci"]
+    return f"{scale * record[key]:.1f} [{scale * low:.1f}, {scale * high:.1f}]"
+
+
+def as_markdown(experiment: str, rows: Sequence[Row]) -> str:
+    """A Markdown table: each figure as the paper prints it, then ours with its 95 % interval."""
+    columns = [("success %", "success_rate", 100.0)]
+    if task_of(experiment) == "navigate":
+        columns += [
+            ("path increase %", "path_increase_percent", 1.0),
+            ("safe point error px", "safe_point_error_px", 1.0),
+        ]
+    else:
+        columns.append(("detection %", "detection_rate", 100.0))
+    columns.append(("run time ms", "run_time_ms", 1.0))
+    head = ["method", "trials"]
+    for title, _, _ in columns:
+        head += [f"{title}, paper", f"{title}, ours"]
+    head += ["GFLOP, paper", "M parameters, paper"]
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    for row in rows:
+        cells = [row.paper.title, row.note if row.measured is None else str(row.measured["trials"])]
+        for _, key, scale in columns:
+            cells += [_number(getattr(row.paper, key, None)), _measured(row.measured, key, scale)]
+        cells += [_number(row.paper.gflops), _number(row.paper.mparameters, 2)]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
