@@ -12,7 +12,6 @@ from torch import Tensor
 
 from ajna.metrics.base import Average, RunningMean, check_map, scored_pixels
 
-
 _TWENTIETHS = tuple(k / 20 for k in range(1, 20))
 
 
