@@ -137,7 +137,8 @@ TEST(ConformalFit, OfOnePixelPerImageIsTheOrderStatistic) {
     std::sort(scores.begin(), scores.end());
     for (const double p : {0.1, 0.5, 0.9, 0.95}) {
       const double exact = scores[static_cast<std::size_t>(std::ceil(58 * p)) - 1];
-      for (const double factor : fit.factors({p}).factors[0]) {
+      const auto pair = fit.factors({p}).factors[0];
+      for (const double factor : pair) {
         EXPECT_GE(factor, exact * (1 - 1e-6)) << p;  // never below
         EXPECT_LE(factor, exact * 1.0051) << p;
       }
@@ -158,7 +159,7 @@ TEST(ConformalFit, CoversNewImagesAtLeastAsPromised) {
   };
   std::int64_t width = 0;
   double covered = 0;
-  constexpr int kTrials = 300, kImages = 19;
+  constexpr int kTrials = 150, kImages = 19;
   for (int trial = 0; trial < kTrials; ++trial) {
     ConformalFit fit;
     for (int i = 0; i < kImages; ++i) {
@@ -168,7 +169,7 @@ TEST(ConformalFit, CoversNewImagesAtLeastAsPromised) {
     const auto factor = fit.factors({0.9}).factors[0];
     covered += (image(width)[0].abs() <= factor[0]).to(torch::kFloat64).mean().item<double>();
   }
-  EXPECT_GT(covered / kTrials, 0.9 - 0.02);  // standard error about 0.01
+  EXPECT_GT(covered / kTrials, 0.9 - 0.03);  // standard error about 0.012
   EXPECT_LT(covered / kTrials, 1.0 - 0.005);
 }
 

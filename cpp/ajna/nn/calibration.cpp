@@ -105,6 +105,7 @@ std::vector<double> curve_through(const std::vector<Group>& blocks, const Tensor
   const double old_at_last = old_value[last_knot] + (last.position - static_cast<double>(last_knot)) *
                                                         (old_value[next_knot] - old_value[last_knot]);
   std::vector<double> curve;
+  curve.reserve(static_cast<std::size_t>(old_value.size(0)));
   std::size_t above = 0;
   for (std::int64_t k = 0; k < old_value.size(0); ++k) {
     const auto position = static_cast<double>(k);

@@ -114,6 +114,7 @@ void put_calibration(const Calibration& calibration, Strings& strings) {
   strings[prefix + "levels"] = numbers_text(calibration.factors.levels);
   for (std::size_t axis = 0; axis < kFactors.size(); ++axis) {
     std::vector<double> factors;
+    factors.reserve(calibration.factors.factors.size());
     for (const auto& pair : calibration.factors.factors) {
       factors.push_back(pair[axis]);
     }

@@ -54,7 +54,8 @@ class HeldOut:
         """Share of flow components inside the intervals, and their width."""
         curve = self._coverage.compute()
         # torchmetrics makes a scalar of a curve of one level.
-        return CoverageCurve(*(values.reshape(-1) for values in curve[:3]), curve.error)
+        levels, coverage, width = (values.reshape(-1) for values in curve[:3])
+        return CoverageCurve(levels, coverage, width, curve.error)
 
     def to_json(self) -> dict[str, Any]:
         """Plain keys and numbers."""

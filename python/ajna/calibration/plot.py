@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -38,7 +38,7 @@ def reliability_plot(figures: Mapping[str, HeldOut], title: str = "") -> NDArray
         shown = (curve.weight >= _LEAST_WEIGHT).numpy()
         expected, observed = curve.expected.numpy()[shown], curve.observed.numpy()[shown]
         label = f"{name}: ECE {curve.ece.item():.3f} px"
-        style = {"color": color, "marker": "o", "markersize": 4, "linewidth": 1.2}
+        style: dict[str, Any] = {"color": color, "marker": "o", "markersize": 4, "linewidth": 1.2}
         errors.plot(expected, observed, label=label, **style)
         counts.plot(expected, 100 * curve.weight.numpy()[shown], color=color, linewidth=1.2)
         label = f"{name}: {held_out.intervals_from}"

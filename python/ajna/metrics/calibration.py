@@ -12,6 +12,8 @@ from torch import Tensor
 
 from ajna.metrics.base import Average, RunningMean, check_map, scored_pixels
 
+_TWENTIETHS = tuple(k / 20 for k in range(1, 20))
+
 
 class ReliabilityCurve(NamedTuple):
     """Expected against observed error per bin of the expected error; float64, NaN in bins without pixels."""
@@ -89,6 +91,8 @@ class Reliability(_PerAxis):
 
     higher_is_better = False
 
+    _inner_edges: Tensor
+
     def __init__(
         self, bins: int = 32, low_px: float = 0.01, high_px: float = 100.0, average: Average = "image"
     ) -> None:
@@ -143,6 +147,9 @@ class Coverage(_PerAxis):
     """
 
     higher_is_better = None
+
+    _levels: Tensor
+    _factors: Tensor
 
     def __init__(self, levels: Sequence[float], factors: Sequence[Sequence[float]], average: Average = "image") -> None:
         shares = _shares(levels)
@@ -223,7 +230,9 @@ class QuantileCalibration(RunningMean):
 
     higher_is_better = False
 
-    def __init__(self, levels: Sequence[float] = tuple(k / 20 for k in range(1, 20))) -> None:
+    _levels: Tensor
+
+    def __init__(self, levels: Sequence[float] = _TWENTIETHS) -> None:
         shares = _shares(levels)
         super().__init__("quantile_" + "_".join(f"{level:g}" for level in levels), shape=(len(levels),))
         self.register_buffer("_levels", shares, persistent=False)
