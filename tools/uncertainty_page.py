@@ -57,7 +57,7 @@ def measured(arguments: Sequence[str], hide: Sequence[Path | None]) -> str:
 
 
 def draw(folder: Path, model_name: str) -> None:
-    """The pictures of the page, in a palette of 256 colours to stay small."""
+    """The pictures of the page. A palette would be smaller, and lose the rare colours: the ends of the scale."""
     from PIL import Image
 
     import ajna
@@ -69,8 +69,7 @@ def draw(folder: Path, model_name: str) -> None:
     for name, index in SCENES.items():
         pair = scenes[index]
         panel = plots.uncertainty_panel(pair, model(pair.frame1, pair.frame2), width=WIDTH)
-        picture = Image.fromarray(panel).quantize(256, dither=Image.Dither.NONE)
-        picture.save(folder / f"uncertainty_{name}.png", optimize=True)
+        Image.fromarray(panel).save(folder / f"uncertainty_{name}.png", optimize=True)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
