@@ -178,7 +178,8 @@ void bind_synth(py::module_& m) {
   AJNA_FIELD(photo_probability);
   AJNA_FIELD(motion_boundary_px);
 #undef AJNA_FIELD
-  m.def("validate_scene_config", &synth::validate, "config"_a, "Raise ValueError naming the first field out of range.");
+  m.def("validate_scene_config", py::overload_cast<const SceneConfig&>(&synth::validate), "config"_a,
+        "Raise ValueError naming the first field out of range.");
 
   py::class_<ScenePreset>(m, "ScenePreset", "Scene options that teach one thing, by name.")
       .def_readonly("name", &ScenePreset::name)

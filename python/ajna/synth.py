@@ -175,12 +175,12 @@ class Augmenter:
     def __call__(self, batch: Mapping[str, Any], height: int, width: int, seed: int) -> dict[str, Any]:
         """Augmented crops of ``height`` x ``width`` pixels; equal seeds give equal bits on a CPU. The GIL is released.
 
-        ``batch`` holds ``frame1``, ``frame2`` uint8 [B, 3, H, W] RGB and ``flow`` float32 [B, 2, H, W] in pixels, all on
-        one device, and may hold ``valid``, ``occlusion``, ``motion_boundary`` bool [B, 1, H, W], ``flow_backward``
+        ``batch`` holds ``frame1``, ``frame2`` uint8 [B, 3, H, W] RGB and ``flow`` float32 [B, 2, H, W] in pixels, all
+        on one device, and may hold ``valid``, ``occlusion``, ``motion_boundary`` bool [B, 1, H, W], ``flow_backward``
         float32 [B, 2, H, W] and the masks' ``_backward`` on frame 2's grid. What is not a tensor is passed on.
 
-        Returns the same keys at the crop's size, and ``valid`` (with a backward flow ``valid_backward``, too): where the
-        flow is known. The flow is 0 elsewhere. Points that leave the crop or lie under a patch count as occluded.
+        Returns the same keys at the crop's size, and ``valid`` (with a backward flow ``valid_backward``, too): where
+        the flow is known. The flow is 0 elsewhere. Points that leave the crop or lie under a patch count as occluded.
 
         Raises:
             ValueError: a tensor is unknown or has another shape, type or device, or frames would be swapped without

@@ -52,8 +52,8 @@ struct OcclusionCheck {
   std::int64_t compared = 0, hidden = 0, wrong = 0;
 };
 
-/// Does the occlusion agree with what frame 2 shows? layer2 is composited on frame 2's grid, the occlusion is computed at
-/// the exact target: two routes that must agree away from outlines.
+/// Does the occlusion agree with what frame 2 shows? layer2 is composited on frame 2's grid, the occlusion is computed
+/// at the exact target: two routes that must agree away from outlines.
 inline OcclusionCheck check_occlusion(const PairBatch& pair) {
   const auto count = pair.flow.size(0), height = pair.flow.size(2), width = pair.flow.size(3);
   const auto flow = pair.flow.accessor<float, 4>();

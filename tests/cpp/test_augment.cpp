@@ -41,7 +41,8 @@ struct AffinePairs {
 Tensor picture(const Tensor& x, const Tensor& y) {
   std::vector<Tensor> channels;
   for (int c = 0; c < 3; ++c) {
-    channels.push_back(0.5 + 0.22 * torch::sin(0.13 * x + 0.05 * y * (c + 1)) + 0.22 * torch::cos(0.11 * y - 0.04 * x * c));
+    channels.push_back(0.5 + 0.22 * torch::sin(0.13 * x + 0.05 * y * (c + 1)) +
+                       0.22 * torch::cos(0.11 * y - 0.04 * x * c));
   }
   return (torch::stack(channels, 1) * 255).round().clamp(0, 255).to(torch::kUInt8);
 }
@@ -249,7 +250,8 @@ TEST(Augmenter, CornersOutsideTheFrameAreNotValid) {
   config.rotation_deg = 45;
   const auto given = affine_pairs(32, 48, 48, 1.0).pairs;
   const auto made = Augmenter(config).augment(given, 48, 48, 6);
-  // A square turned by an angle t about its centre keeps 1 - (1 - |cos t| + ...) of itself: at 45 degrees 2 (sqrt 2 - 1).
+  // A square turned by an angle t about its centre keeps 1 - (1 - |cos t| + ...) of itself: at 45 degrees 2 (sqrt 2 -
+  // 1).
   const auto kept = made.valid.to(torch::kFloat32).mean({1, 2, 3});
   EXPECT_GT(kept.min().item<float>(), 2 * (std::sqrt(2.0F) - 1) - 0.02F);
   EXPECT_LT(kept.min().item<float>(), 0.9F);
@@ -325,8 +327,10 @@ TEST(Augmenter, SymmetricColourChangesAreAlikeAndAsymmetricOnesAreNot) {
 TEST(Color, HueTurnsAndSaturationScaleInHsv) {
   const auto red = torch::tensor({1.0F, 0.0F, 0.0F}).view({1, 3, 1, 1});
   const auto one = torch::ones({1}), third = torch::full({1}, 1.0 / 3.0);
-  EXPECT_TRUE(torch::allclose(turn_hue(red, third, one), torch::tensor({0.0F, 1.0F, 0.0F}).view({1, 3, 1, 1}), 0, 1e-5));
-  EXPECT_TRUE(torch::allclose(turn_hue(red, -third, one), torch::tensor({0.0F, 0.0F, 1.0F}).view({1, 3, 1, 1}), 0, 1e-5));
+  EXPECT_TRUE(
+      torch::allclose(turn_hue(red, third, one), torch::tensor({0.0F, 1.0F, 0.0F}).view({1, 3, 1, 1}), 0, 1e-5));
+  EXPECT_TRUE(
+      torch::allclose(turn_hue(red, -third, one), torch::tensor({0.0F, 0.0F, 1.0F}).view({1, 3, 1, 1}), 0, 1e-5));
   torch::manual_seed(2);
   const auto image = torch::rand({4, 3, 9, 9});
   EXPECT_TRUE(torch::allclose(turn_hue(image, torch::zeros({4}), torch::ones({4})), image, 0, 1e-5));

@@ -34,8 +34,8 @@ TEST_P(EveryPreset, WarpingFrame2ReproducesFrame1OnVisiblePixels) {
   const auto pair = generator.generate(8, 96, 128, 11);
   const auto error = (testing::warp(pair.frame2, pair.flow) - pair.frame1.to(torch::kFloat32)).abs().mean(1, true);
   const auto edges = pair.layer1.to(torch::kFloat32);
-  const auto flat = testing::F::max_pool2d(edges, testing::F::MaxPool2dFuncOptions(3).stride(1).padding(1)) -
-                    edges < 0.5;
+  const auto flat =
+      testing::F::max_pool2d(edges, testing::F::MaxPool2dFuncOptions(3).stride(1).padding(1)) - edges < 0.5;
   const auto interior = testing::eroded(pair.occlusion.logical_not().logical_and(flat), 1);
   ASSERT_GT(interior.to(torch::kFloat32).mean().item<float>(), 0.25F);
   const auto inside = error.masked_select(interior);
@@ -86,7 +86,8 @@ TEST(ScenePresets, TheFirstHasTheDefaultsAndUnknownNamesAreRefused) {
 Tensor homography_flow(const Tensor& homographies, const Tensor& u, const Tensor& v) {
   const auto h = [&](int r, int c) { return homographies.select(2, r).select(2, c).unsqueeze(-1).unsqueeze(-1); };
   const auto w = h(2, 0) * u + h(2, 1) * v + h(2, 2);
-  return torch::stack({(h(0, 0) * u + h(0, 1) * v + h(0, 2)) / w - u, (h(1, 0) * u + h(1, 1) * v + h(1, 2)) / w - v}, 2);
+  return torch::stack({(h(0, 0) * u + h(0, 1) * v + h(0, 2)) / w - u, (h(1, 0) * u + h(1, 1) * v + h(1, 2)) / w - v},
+                      2);
 }
 
 struct Rays {
@@ -154,8 +155,9 @@ TEST_P(EverySurface, LargeStepsProjectThePointsOfThePlanes) {
       for (std::int64_t v = 0; v < height; v += 7) {
         for (std::int64_t u = 0; u < width; u += 7) {
           const double f = g.focal_px[b].item<double>();
-          const auto ray = torch::tensor({(static_cast<double>(u) - g.center_x) / f,
-                                          (static_cast<double>(v) - g.center_y) / f, 1.0}, torch::kFloat64);
+          const auto ray =
+              torch::tensor({(static_cast<double>(u) - g.center_x) / f, (static_cast<double>(v) - g.center_y) / f, 1.0},
+                            torch::kFloat64);
           const double inverse_depth = g.plane[b][layer].dot(ray).item<double>();
           if (inverse_depth < 1e-3) {
             continue;  // above the floor's horizon
@@ -195,8 +197,8 @@ TEST_P(EverySurface, OneCameraTranslationExplainsTheFlowOfAllLayers) {
     const auto zeta = m.select(1, 0) * x + m.select(1, 1) * y + m.select(1, 2);
     const auto flow = pair.flow[b].to(torch::kFloat64).view({2, -1}) / g.focal_px[b];
     const auto zero = torch::zeros_like(x);
-    const auto rows = torch::cat({torch::stack({-zeta, zero, zeta * (x + flow[0])}, 1),
-                                  torch::stack({zero, -zeta, zeta * (y + flow[1])}, 1)});
+    const auto rows = torch::cat(
+        {torch::stack({-zeta, zero, zeta * (x + flow[0])}, 1), torch::stack({zero, -zeta, zeta * (y + flow[1])}, 1)});
     const auto right = torch::cat({flow[0], flow[1]}).unsqueeze(1);
     const auto v = std::get<0>(torch::linalg_lstsq(rows, right, std::nullopt, "gelsd"));
     several += pair.layer1[b].max().item<int>() > pair.layer1[b].min().item<int>() ? 1 : 0;
@@ -214,8 +216,9 @@ TEST(SceneGeometry, TheFloorEndsAtTheHorizonAndTreesStandOnIt) {
   const auto& g = *scene.geometry;
   // At a tree's foot floor and tree are equally deep.
   const auto upright = scene.shapes.upright().view({batch, scene.layers});
-  const auto floor = (g.floor_plane.select(1, 1).unsqueeze(1) * (scene.place.center_y - g.center_y) /
-                      g.focal_px.unsqueeze(1)) + g.floor_plane.select(1, 2).unsqueeze(1);
+  const auto floor =
+      (g.floor_plane.select(1, 1).unsqueeze(1) * (scene.place.center_y - g.center_y) / g.focal_px.unsqueeze(1)) +
+      g.floor_plane.select(1, 2).unsqueeze(1);
   auto trees = upright.clone();
   trees.slice(1, 0, 2).fill_(false);
   ASSERT_GT(trees.sum().item<int>(), 100);

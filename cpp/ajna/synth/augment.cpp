@@ -227,8 +227,8 @@ void check(const LabelledPairs& pairs, std::int64_t height, std::int64_t width, 
   check(pairs.occlusion_backward, "occlusion_backward", torch::kBool, 1, first);
   check(pairs.motion_boundary, "motion_boundary", torch::kBool, 1, first);
   check(pairs.motion_boundary_backward, "motion_boundary_backward", torch::kBool, 1, first);
-  if (!pairs.flow_backward.defined() &&
-      (pairs.valid_backward.defined() || pairs.occlusion_backward.defined() || pairs.motion_boundary_backward.defined())) {
+  if (!pairs.flow_backward.defined() && (pairs.valid_backward.defined() || pairs.occlusion_backward.defined() ||
+                                         pairs.motion_boundary_backward.defined())) {
     throw_invalid("backward masks were given without flow_backward: give it, too, or leave them out");
   }
   const auto missing = [&](const Tensor& a, const Tensor& b) { return a.defined() != b.defined(); };
@@ -257,7 +257,8 @@ LabelledPairs Augmenter::augment(const LabelledPairs& pairs, std::int64_t height
   check(pairs, height, width, config_.swap_probability > 0);
   const torch::NoGradGuard no_grad;
   const auto device = pairs.frame1.device();
-  const std::int64_t batch = pairs.frame1.size(0), from_height = pairs.frame1.size(2), from_width = pairs.frame1.size(3);
+  const std::int64_t batch = pairs.frame1.size(0), from_height = pairs.frame1.size(2),
+                     from_width = pairs.frame1.size(3);
   Random random(seed);
 
   LabelledPairs given = pairs;
@@ -279,9 +280,9 @@ LabelledPairs Augmenter::augment(const LabelledPairs& pairs, std::int64_t height
                            height, width);
   Direction back;
   if (backward) {
-    back = transform({given.flow_backward, given.valid_backward, given.occlusion_backward,
-                      given.motion_boundary_backward},
-                     maps.second, maps.first, height, width);
+    back =
+        transform({given.flow_backward, given.valid_backward, given.occlusion_backward, given.motion_boundary_backward},
+                  maps.second, maps.first, height, width);
   }
   const auto u = torch::arange(width, given.flow.options()).view({1, 1, width});
   const auto v = torch::arange(height, given.flow.options()).view({1, height, 1});

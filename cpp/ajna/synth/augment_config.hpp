@@ -42,9 +42,9 @@ struct AugmentConfig {
 
   // Patches of the mean colour that hide parts of frame 2
   double patch_probability = 0.5;
-  std::int64_t patch_count = 2;    ///< at most
-  double patch_min_size = 0.13;    ///< smallest side, as a fraction of the crop's shorter side
-  double patch_max_size = 0.27;    ///< largest
+  std::int64_t patch_count = 2;  ///< at most
+  double patch_min_size = 0.13;  ///< smallest side, as a fraction of the crop's shorter side
+  double patch_max_size = 0.27;  ///< largest
 };
 
 struct AugmentPreset {

@@ -12,10 +12,10 @@ using torch::Tensor;
 constexpr double kPi = 3.14159265358979323846;
 /// The camera travels at most this part of the way to the nearest point in view, so that everything stays before it.
 constexpr double kMaxApproach = 0.35;
-constexpr double kMaxTurn = 0.3;        // rad per frame interval
-constexpr double kLeverArm = 0.25;      // typical distance to the focus of expansion, in image widths
-constexpr double kMaxSlope = 0.85;      // of a table, relative to the slope whose horizon is the image's upper edge
-constexpr double kGrazing = 1e-3;       // inverse depths below this are at the horizon
+constexpr double kMaxTurn = 0.3;    // rad per frame interval
+constexpr double kLeverArm = 0.25;  // typical distance to the focus of expansion, in image widths
+constexpr double kMaxSlope = 0.85;  // of a table, relative to the slope whose horizon is the image's upper edge
+constexpr double kGrazing = 1e-3;   // inverse depths below this are at the horizon
 
 double middle_depth(const SceneConfig& c) { return std::sqrt(c.depth_near * c.depth_far); }
 
@@ -51,8 +51,8 @@ Tensor SceneGeometry::largest_inverse_depth() const {
 
 SceneGeometry SceneGeometry::slice(std::int64_t begin, std::int64_t end, const torch::Device& device) const {
   SceneGeometry part = *this;
-  for (auto member : {&SceneGeometry::plane, &SceneGeometry::focal_px, &SceneGeometry::horizon_y,
-                      &SceneGeometry::floor_plane}) {
+  for (auto member :
+       {&SceneGeometry::plane, &SceneGeometry::focal_px, &SceneGeometry::horizon_y, &SceneGeometry::floor_plane}) {
     if ((part.*member).defined()) {
       part.*member = (part.*member).slice(0, begin, end).to(device);
     }
@@ -97,8 +97,7 @@ SceneGeometry draw_geometry(const SceneConfig& c, std::int64_t batch, std::int64
   return g;
 }
 
-CameraStep draw_camera_step(const SceneConfig& c, const SceneGeometry& g, const Tensor& magnitude_px,
-                            Random& random) {
+CameraStep draw_camera_step(const SceneConfig& c, const SceneGeometry& g, const Tensor& magnitude_px, Random& random) {
   const std::int64_t batch = magnitude_px.size(0);
   const auto magnitude = magnitude_px.to(torch::kFloat64).view({batch, 1}), f = g.focal_px.view({batch, 1});
   const auto angle = random.uniform({batch}, 0, 2 * kPi).to(torch::kFloat64);

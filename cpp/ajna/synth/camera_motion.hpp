@@ -13,12 +13,12 @@ namespace ajna::synth {
 /// Where the layers of B scenes stand before a pinhole camera. Camera frame of frame 1: x right, y down, z forward; the
 /// unit of length is the background's depth. A pixel (u, v) sees along x = ((u - cx) / f, (v - cy) / f, 1).
 struct SceneGeometry {
-  torch::Tensor plane;          ///< m, [B, L, 3] float64: the layer's plane is {X : m . X = 1}, its inverse depth m . x
-  torch::Tensor focal_px;       ///< f, [B] float64
-  double center_x, center_y;    ///< cx, cy: the image centre, pixels
-  double width_px, height_px;   ///< size of the image
-  torch::Tensor horizon_y;      ///< [B] float32, pixels: the floor (layer 1) lies below; undefined without a floor
-  torch::Tensor floor_plane;    ///< [B, 3] float64: m of the floor; undefined without one
+  torch::Tensor plane;         ///< m, [B, L, 3] float64: the layer's plane is {X : m . X = 1}, its inverse depth m . x
+  torch::Tensor focal_px;      ///< f, [B] float64
+  double center_x, center_y;   ///< cx, cy: the image centre, pixels
+  double width_px, height_px;  ///< size of the image
+  torch::Tensor horizon_y;     ///< [B] float32, pixels: the floor (layer 1) lies below; undefined without a floor
+  torch::Tensor floor_plane;   ///< [B, 3] float64: m of the floor; undefined without one
 
   /// m . x of each layer at the rays through its points (u, v) [B, L]; float64.
   [[nodiscard]] torch::Tensor inverse_depth(const torch::Tensor& u, const torch::Tensor& v) const;
@@ -41,8 +41,8 @@ SceneGeometry draw_geometry(const SceneConfig& config, std::int64_t batch, std::
                             Random& random);
 
 /// Draw the camera's way. `magnitude_px` [B]: displacement in the image of something at the middle depth.
-CameraStep draw_camera_step(const SceneConfig& config, const SceneGeometry& geometry,
-                            const torch::Tensor& magnitude_px, Random& random);
+CameraStep draw_camera_step(const SceneConfig& config, const SceneGeometry& geometry, const torch::Tensor& magnitude_px,
+                            Random& random);
 
 /// How the step moves the image of each layer: X2 = R^T (X1 - T) with m . X1 = 1 gives the homography
 ///   H = K R^T (I - T m^T) K^-1,  [B, L, 3, 3] float64, pixels of frame 1 to pixels of frame 2.

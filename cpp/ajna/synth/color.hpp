@@ -18,7 +18,8 @@ struct ColorChange {
 /// `mean` [B, 3]: the colour that contrast leaves as it is, before the change of brightness.
 torch::Tensor change_color(const torch::Tensor& image, const torch::Tensor& mean, const ColorChange& change);
 
-/// Turn the hue by `turn` [B] circles and scale the saturation by `factor` [B], in HSV. image float [B, 3, H, W] in [0, 1].
+/// Turn the hue by `turn` [B] circles and scale the saturation by `factor` [B], in HSV. image float [B, 3, H, W] in [0,
+/// 1].
 torch::Tensor turn_hue(const torch::Tensor& image, const torch::Tensor& turn, const torch::Tensor& factor);
 
 }  // namespace ajna::synth

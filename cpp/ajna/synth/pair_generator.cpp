@@ -75,7 +75,9 @@ Rendered render(const Scene& s, const TextureBank& bank, const Points& at, int f
   }
   if (s.lights.x.defined()) {
     const auto on_background = [&](const Tensor& x) {
-      return x.expand({s.batch * s.layers, s.height, s.width}).view({s.batch, s.layers, s.height, s.width}).select(1, 0);
+      return x.expand({s.batch * s.layers, s.height, s.width})
+          .view({s.batch, s.layers, s.height, s.width})
+          .select(1, 0);
     };
     out.image = (out.image + s.lights.glow(on_background(at.x), on_background(at.y), frame)).clamp(0, 1);
   }

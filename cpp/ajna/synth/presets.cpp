@@ -55,7 +55,7 @@ SceneConfig things() {
   c.min_size = 0.06;
   c.max_size = 0.4;
   c.plate_weight = 0.1;
-  c.camera = "any";               // objects and camera move on three-dimensional paths (M16)
+  c.camera = "any";                  // objects and camera move on three-dimensional paths (M16)
   c.independent_probability = 0.75;  // the rest are the static background objects of M16
   c.perspective_probability = 1;
   c.rotation_zoom = 0.5;
@@ -73,11 +73,12 @@ SceneConfig things() {
 SceneConfig dodge() {
   auto c = rigid();
   c.layers = 3;
-  c.layer_probability = 0.6;
-  c.min_size = 0.02;  // a ball of 140 mm at 5 m (Paper) with f = 0.8 widths: radius 1.5 % of the height of a 4:3 image
+  c.layer_probability = 0.75;
+  c.min_size = 0.03;  // a ball of 140 mm (Paper) at 2.5 m with f = 0.8 widths: radius 3 % of the height of a 4:3 image
   c.max_size = 0.18;  // a quadrotor of 440 mm (Paper) 1.5 m before the camera: 16 %
   c.bar_weight = 0.4;
   c.plate_weight = 0;
+  c.placement_spread = 0.45;  // in view
   c.flow_distribution = "uniform";
   c.flow_max_px = 24;
   c.background_ratio = 0.04;
@@ -97,7 +98,7 @@ SceneConfig navigate() {
   c.blob_weight = 0.15;  // bushes
   c.polygon_weight = c.bar_weight = c.plate_weight = 0;
   c.trunk_weight = 1;
-  c.min_size = 0.3;  // trunks of 0.6 to 0.9 m in a scene 40 m deep (Paper), about a tenth of the layer's radius
+  c.min_size = 0.2;  // trunks of 0.6 to 0.9 m in a scene 40 m deep (Paper), about a tenth of the layer's radius
   c.max_size = 0.5;
   c.depth_near = 0.08;  // 3 m of 40 m
   c.depth_far = 0.85;
@@ -118,13 +119,13 @@ SceneConfig gap() {
   c.plate_weight = 1;
   c.plate_frame_probability = 0.1;
   c.hole_union_probability = 0.4;
-  c.min_size = 0.15;
+  c.min_size = 0.2;
   c.max_size = 0.45;
   c.placement_spread = 0.25;
   c.depth_near = 0.25;  // 3.0 m before a wall at 7.2 m (Paper): 0.42
   c.depth_far = 0.65;
-  c.flow_mean_px = 4;
-  c.flow_max_px = 24;
+  c.flow_distribution = "uniform";
+  c.flow_max_px = 12;
   return c;
 }
 
@@ -142,8 +143,8 @@ SceneConfig pile() {
   c.depth_near = 0.78;
   c.depth_far = 0.97;
   c.camera_rotation = 0.05;
-  c.flow_mean_px = 14;  // before the camera turns back to the pile
-  c.flow_max_px = 50;
+  c.flow_distribution = "uniform";
+  c.flow_max_px = 40;  // before the camera turns back to the pile
   return c;
 }
 

@@ -9,15 +9,15 @@ namespace ajna::synth {
 /// What the scenes look like; defaults are the general-purpose mix. All probabilities are per scene or per layer.
 struct SceneConfig {
   // Layers
-  std::int64_t layers = 6;         ///< foreground layers at most, each present with layer_probability
-  double layer_probability = 0.7;  ///< per layer
-  double min_size = 0.06;          ///< smallest layer radius, as a fraction of the shorter image side
-  double max_size = 0.45;          ///< largest layer radius, same unit; radii are log-uniform
-  double blob_weight = 1.0;        ///< relative frequency of ellipses and smooth blobs
-  double polygon_weight = 1.0;     ///< of convex polygons and boxes
-  double bar_weight = 1.0;         ///< of thin bars and branches
-  double plate_weight = 0.25;      ///< of plates with holes
-  double trunk_weight = 0.0;       ///< of trees: an upright trunk with twigs, whose foot is the layer's centre
+  std::int64_t layers = 6;               ///< foreground layers at most, each present with layer_probability
+  double layer_probability = 0.7;        ///< per layer
+  double min_size = 0.06;                ///< smallest layer radius, as a fraction of the shorter image side
+  double max_size = 0.45;                ///< largest layer radius, same unit; radii are log-uniform
+  double blob_weight = 1.0;              ///< relative frequency of ellipses and smooth blobs
+  double polygon_weight = 1.0;           ///< of convex polygons and boxes
+  double bar_weight = 1.0;               ///< of thin bars and branches
+  double plate_weight = 0.25;            ///< of plates with holes
+  double trunk_weight = 0.0;             ///< of trees: an upright trunk with twigs, whose foot is the layer's centre
   double plate_frame_probability = 0.5;  ///< of a plate that ends at a box around its hole
   double hole_union_probability = 0.0;   ///< of a hole that is the union of a blob and a polygon
   double placement_spread = 0.55;  ///< layer centres lie within this of the image centre, as a fraction of its sides
@@ -38,16 +38,16 @@ struct SceneConfig {
   // A camera that moves through a scene in depth, instead of layers that move each on their own ("off"). Depths are
   // relative to the background's. The drawn displacement is that of something at the middle depth,
   // sqrt(depth_near * depth_far): nearer layers move by more, whatever flow_max_px says.
-  std::string camera = "off";      ///< off, forward, sideways, fixate (sideways, turning back to the centre) or any
-  std::string surface = "wall";    ///< wall: planes across the view; floor: a ground plane, too; table: planes on a table
-  double depth_near = 0.1;         ///< nearest layer; depths are log-uniform
-  double depth_far = 0.9;          ///< farthest layer
-  double focal_min = 0.7;          ///< shortest focal length, in image widths
-  double focal_max = 1.2;          ///< longest
-  double camera_rotation = 0.15;   ///< standard deviation of the rotation's flow, relative to the displacement
-  double camera_height = 0.06;     ///< above the floor, drawn between half and twice this
-  double table_tilt_deg = 50.0;    ///< largest angle between the table's normal and the line of sight
-  double plane_tilt = 0.1;         ///< standard deviation of the slope of planes across the view
+  std::string camera = "off";    ///< off, forward, sideways, fixate (sideways, turning back to the centre) or any
+  std::string surface = "wall";  ///< wall: planes across the view; floor: a ground plane, too; table: planes on a table
+  double depth_near = 0.1;       ///< nearest layer; depths are log-uniform
+  double depth_far = 0.9;        ///< farthest layer
+  double focal_min = 0.7;        ///< shortest focal length, in image widths
+  double focal_max = 1.2;        ///< longest
+  double camera_rotation = 0.15;         ///< standard deviation of the rotation's flow, relative to the displacement
+  double camera_height = 0.06;           ///< above the floor, drawn between half and twice this
+  double table_tilt_deg = 50.0;          ///< largest angle between the table's normal and the line of sight
+  double plane_tilt = 0.1;               ///< standard deviation of the slope of planes across the view
   double independent_probability = 0.0;  ///< of a layer that also moves on its own
 
   // Appearance
@@ -67,8 +67,8 @@ struct SceneConfig {
   double jump_stops = 1.5;         ///< largest jump, in powers of two
 
   // Textures
-  std::int64_t bank_size = 192;     ///< procedural textures in the bank
-  std::int64_t texture_size = 256;  ///< side of a texture, pixels
+  std::int64_t bank_size = 192;           ///< procedural textures in the bank
+  std::int64_t texture_size = 256;        ///< side of a texture, pixels
   double flat_texture_share = 0.0;        ///< of the bank's textures that are nearly uniform
   double repetitive_texture_share = 0.0;  ///< of the bank's textures that are stripes or checks
   double photo_probability = 0.5;         ///< of taking a photograph crop where photographs were given

@@ -87,8 +87,7 @@ ShapeSet::ShapeSet(const SceneConfig& config, std::int64_t rows, Random& random,
   const auto blob = blobs(rows, grid, random), polygon = polygons(rows, grid, random);
   raster_ = torch::where(by_row(pick < polygon_from), blob, polygon);
   // A plate is everything but a hole; half of the plates end at a box around it.
-  auto hole =
-      torch::where(by_row(random.chance({rows}, 0.5)), blob, polygon) - random.uniform({rows, 1, 1}, 0, 0.3);
+  auto hole = torch::where(by_row(random.chance({rows}, 0.5)), blob, polygon) - random.uniform({rows, 1, 1}, 0, 0.3);
   if (config.hole_union_probability > 0) {
     const auto joined = torch::maximum(blob, polygon) - more.uniform({rows, 1, 1}, 0, 0.3);
     hole = torch::where(by_row(more.chance({rows}, config.hole_union_probability)), joined, hole);

@@ -14,7 +14,8 @@ namespace ajna::synth {
 /// would lose, are evaluated as distances to line segments.
 class ShapeSet {
  public:
-  /// `extra` draws what only some options need, so that the other draws stay the same without them; by default `random`.
+  /// `extra` draws what only some options need, so that the other draws stay the same without them; by default
+  /// `random`.
   ShapeSet(const SceneConfig& config, std::int64_t rows, Random& random, Random* extra = nullptr);
 
   /// Signed distance at local coordinates x, y: float [R, H, W] -> [R, H, W].

@@ -73,8 +73,7 @@ def preview(
     pairs = synth.PairGenerator(config, bank_seed=seed)(columns, height, width, seed)
     picture, max_flow = contact_sheet(pairs)
     with staged_folder(out.parent) as stage:
-        # 256 colours: a third of the bytes, and no visible difference at this size.
-        Image.fromarray(picture).quantize(256).save(stage / out.name, format="PNG", optimize=True)
+        Image.fromarray(picture).save(stage / out.name, format="PNG", optimize=True)
 
     length = pairs.flow.norm(dim=1)
     summary = {

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Scenes of a training stage: one kind, or a mix of presets of which each batch takes one.
 
-A mix stands in a config as ``scene: {mix: {general: 0.4, dodge: 0.15, navigate: 0.45}}``. The weights need not add up to
-1. Options beside ``mix`` replace those of every preset in it.
+A mix stands in a config as ``scene: {mix: {general: 0.4, dodge: 0.15, navigate: 0.45}}``. The weights need not add up
+to 1. Options beside ``mix`` replace those of every preset in it.
 """
 
 from __future__ import annotations
