@@ -125,8 +125,9 @@ std::optional<Region> DodgePipeline::choose(const MapSteps& steps, double time_s
     if (region.contrast() < options_.min_contrast || region.mean < options_.min_uncertainty) {
       continue;
     }
-    // Mass of uncertainty, less where the track does not expect it.
-    double score = (region.mean - region.outside) * region.area_px;
+    // How far it stands out, weighted by its diameter (by area, large weak patches would win over small things), and
+    // less where the track does not expect it.
+    double score = (region.mean - region.outside) * std::sqrt(region.area_px);
     if (!track_.empty()) {
       const double off = cv::norm(region.centroid_px - expected) / (options_.gate * diagonal);
       score *= std::exp(-off * off);

@@ -216,10 +216,13 @@ def _gap(stamped: Iterator[Stamped], network: Any, fov_rad: float) -> Iterator[A
     options = tasks.GapOptions()
     options.min_pairs = 1  # recorded frames may be few; a vehicle stacks more before it looks
     pipeline, policy = tasks.GapPipeline(options, fov_rad), tasks.GapPolicy()
-    explore, reference = tasks.ExploreOptions(), None
+    explore = tasks.ExploreOptions()
+    reference: Any = None
+    shown: Any = None  # the last stacked map: while tracking there is no new one
     for index, (time_s, name, frame) in enumerate(stamped):
         uncertainty = network(reference, frame, time_s).uncertainty if pipeline.wants_map else None
         result = pipeline.step(frame, uncertainty, time_s)
+        shown = shown if result.stacked is None else result.stacked
         if index == 0 or result.status == "no_gap":
             reference = frame
         if index == 0:
@@ -237,7 +240,7 @@ def _gap(stamped: Iterator[Stamped], network: Any, fov_rad: float) -> Iterator[A
             "side": result.side if tracking else None,
         }
         yield (
-            task_overlays.gap_overlay(frame, result.stacked, result, command),
+            task_overlays.gap_overlay(frame, shown, result, command),
             _line(name, time_s, result.status, command, **found),
         )
 
