@@ -92,7 +92,7 @@ def rows_of(folder: Path) -> list[dict[str, str]]:
     return [row for path in sorted(folder.glob("csv/*/metrics.csv")) for row in csv.DictReader(path.open())]
 
 
-def child(code: str, *args: str, timeout: int = 300) -> subprocess.CompletedProcess[str]:
+def child(code: str, *args: str, timeout: int = 900) -> subprocess.CompletedProcess[str]:
     # pytest's own path, so that the package under test is the one that the child imports.
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "OMP_NUM_THREADS": "1"}
     command = [sys.executable, "-c", code, *args]
