@@ -21,7 +21,8 @@ double middle_depth(const SceneConfig& c) { return std::sqrt(c.depth_near * c.de
 
 /// Intrinsics K and their inverse, [B, 3, 3] float64.
 Tensor intrinsics(const SceneGeometry& g, bool inverse) {
-  const auto f = g.focal_px, one = torch::ones_like(f), zero = torch::zeros_like(f);
+  const auto& f = g.focal_px;
+  const auto one = torch::ones_like(f), zero = torch::zeros_like(f);
   const auto scale = inverse ? f.reciprocal() : f;
   const auto x = inverse ? -g.center_x / f : one * g.center_x, y = inverse ? -g.center_y / f : one * g.center_y;
   return torch::stack({scale, zero, x, zero, scale, y, zero, zero, one}, -1).view({-1, 3, 3});
@@ -132,7 +133,7 @@ CameraStep draw_camera_step(const SceneConfig& c, const SceneGeometry& g, const 
   if (c.camera == "fixate") {
     // Eq. 14 at the image centre vanishes for Omega = (V_y, -V_x, 0) / Z.
     const auto share = random.uniform({batch, 1}, 0.5, 1.0).to(torch::kFloat64);
-    const auto v = step.translation;
+    const auto& v = step.translation;
     rotation = rotation + share * torch::stack({v.select(1, 1), -v.select(1, 0), zero}, 1);
   }
   const auto turn = rotation.norm(2, 1, /*keepdim=*/true);
