@@ -225,6 +225,7 @@ void bind_gap_parts(py::module_& m) {
   detection.def(py::init<>())
       .def_readwrite("map", &GapDetectionOptions::map)
       .def_readwrite("min_contrast", &GapDetectionOptions::min_contrast)
+      .def_readwrite("certain", &GapDetectionOptions::certain)
       .def_readwrite("ring", &GapDetectionOptions::ring)
       .def_readwrite("min_solidity", &GapDetectionOptions::min_solidity)
       .def_readwrite("min_thickness", &GapDetectionOptions::min_thickness);
@@ -247,7 +248,9 @@ void bind_gap_parts(py::module_& m) {
       .def_readonly("steps", &GapDetection::steps)
       .def_property_readonly("contour", [](const GapDetection& self) { return points_to_numpy(self.contour); })
       .def_readonly("safe_px", &GapDetection::safe_px)
-      .def_readonly("contrast", &GapDetection::contrast);
+      .def_readonly("contrast", &GapDetection::contrast)
+      .def_readonly("score", &GapDetection::score)
+      .def_readonly("certain", &GapDetection::certain);
   def_mask(found, "mask", &GapDetection::mask);
   m.def(
       "detect_gap",

@@ -82,7 +82,7 @@ inline pybind11::object to_numpy(const cv::Mat& mat) {
       const auto* row = mat.ptr<typename decltype(array)::value_type>(y);
       std::copy(row, row + mat.cols, array.mutable_data(y, 0));
     }
-    return std::move(array);
+    return array;
   };
   if (mat.type() == CV_32F) {
     return copy(py::array_t<float>(shape));

@@ -321,6 +321,8 @@ class FreeSpace:
 
 class GapDetection:
     @property
+    def certain(self) -> bool: ...
+    @property
     def contour(self) -> NDArray[np.float64]: ...
     @property
     def contrast(self) -> float: ...
@@ -331,9 +333,12 @@ class GapDetection:
     @property
     def safe_px(self) -> NDArray[np.float64]: ...
     @property
+    def score(self) -> float: ...
+    @property
     def steps(self) -> MapSteps: ...
 
 class GapDetectionOptions:
+    certain: bool
     map: MapOptions
     min_contrast: float
     min_solidity: float

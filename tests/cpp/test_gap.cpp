@@ -83,6 +83,17 @@ TEST(DetectGap, DiscRingAndIrregularShape) {
   EXPECT_NEAR(eight.safe_px.x(), 142, 4);
 }
 
+TEST(DetectGap, ACertainRegionInAnUncertainWall) {
+  const cv::Mat map = with_disc(calm_map(0.9), kCenter, kRadius, 0.4);
+  const GapDetection gap = detect_gap(map);
+  ASSERT_TRUE(gap.found);
+  EXPECT_TRUE(gap.certain);
+  EXPECT_GT(iou(gap.mask, disc(kCenter, kRadius)), 0.8);
+  GapDetectionOptions options;
+  options.certain = false;
+  EXPECT_FALSE(detect_gap(map, options).found);
+}
+
 TEST(DetectGap, WhatIsNoGap) {
   EXPECT_FALSE(detect_gap(calm_map()).found);
   EXPECT_FALSE(detect_gap(cv::Mat::zeros(kHeight, kWidth, CV_32F)).found);
@@ -90,7 +101,7 @@ TEST(DetectGap, WhatIsNoGap) {
   cv::Mat line = calm_map();
   cv::line(line, {40, 40}, {280, 200}, 0.9, 6);
   EXPECT_FALSE(detect_gap(line).found);
-  EXPECT_FALSE(detect_gap(with_disc(calm_map(), kCenter, kRadius, 0.36)).found);  // next to no contrast
+  EXPECT_FALSE(detect_gap(with_disc(calm_map(), kCenter, kRadius, 0.32)).found);  // next to no contrast
   for (const auto& [name, bad] : unusable_maps()) {
     EXPECT_FALSE(detect_gap(bad).found) << name;
   }

@@ -72,9 +72,11 @@ double inscribed_diameter(const cv::Mat& mask) {
 
 GapDetectionOptions::GapDetectionOptions() {
   map.smooth_px = 2.0;
-  map.border_px = 12;
+  map.border_px = 20;
+  map.rule = ThresholdRule::kFixed;
+  map.fixed = 0.65;
   map.open_px = 5;
-  map.close_px = 15;
+  map.close_px = 9;
   map.min_area = 0.005;
   map.max_area = 0.5;
 }
@@ -89,26 +91,25 @@ void validate(const GapDetectionOptions& options) {
   }
 }
 
-GapDetection detect_gap(const cv::Mat& map, const GapDetectionOptions& options) {
-  validate(options);
+namespace {
+
+/// The best gap among regions of `steps`; contrast is that of the region against its ring, or of the ring against it.
+GapDetection best_region(MapSteps steps, const cv::Mat& scalar, bool certain, const GapDetectionOptions& options) {
   GapDetection result;
-  result.steps = find_regions(map, options.map);
-  if (result.steps.status != MapStatus::kOk) {
-    return result;
-  }
   double best = 0.0;
-  for (const Region& region : result.steps.regions) {
+  for (const Region& region : steps.regions) {
     if (region.touches_border) {
       continue;
     }
-    const cv::Mat mask = result.steps.labels == region.label;
+    const cv::Mat mask = steps.labels == region.label;
     std::vector<std::vector<cv::Point>> contours;
     cv::findContours(mask, contours, cv::RETR_EXTERNAL, cv::CHAIN_APPROX_NONE);
     std::vector<cv::Point> hull;
     cv::convexHull(contours.front(), hull);
     const double solidity = region.area_px / std::max(1.0, cv::contourArea(hull));
     const double thickness = inscribed_diameter(mask) / std::sqrt(4.0 * region.area_px / M_PI);
-    const double contrast = ring_contrast(result.steps.scalar, mask, region, options.ring);
+    const double ratio = ring_contrast(scalar, mask, region, options.ring);
+    const double contrast = certain ? 1.0 / std::max(ratio, 1e-6) : ratio;
     if (solidity < options.min_solidity || thickness < options.min_thickness || contrast < options.min_contrast) {
       continue;
     }
@@ -116,9 +117,38 @@ GapDetection detect_gap(const cv::Mat& map, const GapDetectionOptions& options) 
     if (score > best) {
       best = score;
       result.found = true;
+      result.certain = certain;
       result.mask = mask;
       result.contrast = contrast;
+      result.score = score;
       result.contour.assign(contours.front().begin(), contours.front().end());
+    }
+  }
+  result.steps = std::move(steps);
+  return result;
+}
+
+}  // namespace
+
+GapDetection detect_gap(const cv::Mat& map, const GapDetectionOptions& options) {
+  validate(options);
+  MapSteps steps = find_regions(map, options.map);
+  if (steps.status != MapStatus::kOk) {
+    GapDetection nothing;
+    nothing.steps = std::move(steps);
+    return nothing;
+  }
+  const cv::Mat scalar = steps.scalar;
+  GapDetection result = best_region(std::move(steps), scalar, false, options);
+  if (options.certain) {
+    // The same steps on the map upside down; its top is a quantile, as peaks elsewhere must not set the scale.
+    cv::Mat inverse = map_quantile(scalar, 0.95) - scalar;
+    cv::max(inverse, 0.0, inverse);
+    MapOptions smoothed = options.map;
+    smoothed.smooth_px = 0.0;
+    GapDetection other = best_region(find_regions(inverse, smoothed), scalar, true, options);
+    if (other.found && (!result.found || other.score > result.score)) {
+      result = std::move(other);
     }
   }
   if (result.found) {
