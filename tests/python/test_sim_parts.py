@@ -105,7 +105,7 @@ def test_contact_is_a_collision(hover_world) -> None:
 
 
 def test_equal_seeds_equal_worlds() -> None:
-    first, second, other = (make_world("indoor-forest", seed) for seed in (3, 3, 4))
+    first, second, other = (make_world("indoor-forest", seed) for seed in (0, 0, 8))
     assert np.array_equal(first.model.geom_pos, second.model.geom_pos)
     assert np.array_equal(first.model.tex_data, second.model.tex_data)
     assert first.model.geom_pos.shape != other.model.geom_pos.shape or not np.array_equal(
@@ -114,7 +114,7 @@ def test_equal_seeds_equal_worlds() -> None:
 
 
 def test_forest_is_the_papers() -> None:
-    world = make_world("forest", 1)
+    world = make_world("forest", 0)
     centers = np.array([outline.points[:-1].mean(axis=0) for outline in world.outlines])
     diameters = np.array([np.ptp(outline.points[:, 0]) for outline in world.outlines])
     gaps = np.hypot(*(centers[:, None] - centers[None]).transpose(2, 0, 1)) + 99 * np.eye(len(centers))

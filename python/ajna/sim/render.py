@@ -96,7 +96,7 @@ class Renderer:
         mujoco.mj_kinematics(self.model, self._data)
         mujoco.mj_camlight(self.model, self._data)
 
-    def poses(self, qpos: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    def poses(self, qpos: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """T_world_camera [4, 4] (optical frame), body positions [B, 3] and rotations [B, 3, 3] at ``qpos``."""
         self._set(qpos)
         transform = np.eye(4)

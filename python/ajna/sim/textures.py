@@ -12,7 +12,7 @@ from ajna.synth import PairGenerator, scene_config
 
 __all__ = ["PALETTES", "SurfaceBank"]
 
-_BANK, _SIZE = 48, 256
+_BANK, _SIZE = 32, 256
 _LUMINANCE = np.array([0.299, 0.587, 0.114])
 
 # Dark and light end of the colours of a material, RGB in [0, 1].
@@ -23,7 +23,7 @@ PALETTES: dict[str, tuple[tuple[float, float, float], tuple[float, float, float]
     "grass": ((0.10, 0.17, 0.05), (0.55, 0.66, 0.30)),
     "rock": ((0.16, 0.16, 0.17), (0.72, 0.69, 0.64)),
     "concrete": ((0.38, 0.38, 0.38), (0.80, 0.79, 0.76)),
-    "paper": ((0.12, 0.12, 0.13), (0.93, 0.91, 0.86)),
+    "paper": ((0.30, 0.30, 0.31), (0.86, 0.84, 0.79)),
     "wood": ((0.32, 0.20, 0.10), (0.80, 0.62, 0.40)),
     "mat": ((0.10, 0.13, 0.22), (0.52, 0.58, 0.72)),
     "sky": ((0.42, 0.58, 0.82), (0.93, 0.95, 0.98)),

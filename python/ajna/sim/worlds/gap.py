@@ -68,7 +68,7 @@ def _fitted(contour: Contour, vehicle: VehicleConfig) -> Contour:
     """The contour, scaled so that the vehicle fits through its middle with TOLERANCE_M to spare."""
     width = vehicle.half_width_m + TOLERANCE_M
     height = vehicle.half_height_m + TOLERANCE_M
-    angle = np.linspace(-np.pi, np.pi, 721)
+    angle = np.linspace(-np.pi, np.pi, 7201)
     needed = np.minimum(
         width / np.maximum(np.abs(np.cos(angle)), 1e-9), height / np.maximum(np.abs(np.sin(angle)), 1e-9)
     )
@@ -102,7 +102,7 @@ def gap(seed: int, camera: CameraModel, vehicle: VehicleConfig, shape: str | Non
     center = np.array([FOREGROUND_M, start[1] + random.uniform(-0.5, 0.5), 1.5 + random.uniform(-0.25, 0.25)])
     extent = (half_width - center[1], half_width + center[1], center[2], height - center[2])
     scene.show(
-        perforated_wall(contour, extent, _THICKNESS_M, tile_m=1.8), scene.material(bank.surface("paper")), center
+        perforated_wall(contour, extent, _THICKNESS_M, tile_m=3.2), scene.material(bank.surface("paper")), center
     )
     for prism in sector_prisms(contour, extent, _THICKNESS_M):
         scene.hull(prism, center)
