@@ -104,7 +104,7 @@ _UNCERTAINTY: dict[str, dict[str, str]] = {
 
 
 def learning_curves(run: Run, window: int = 20) -> RgbImage:
-    """Error, loss, learning rate and speed over steps: RGB uint8. Loss and error in training are means over ``window`` values."""
+    """Error, loss (means over ``window`` values in training), learning rate and speed over steps: RGB uint8."""
     return _panels(run, _LEARNING, window)
 
 
