@@ -94,6 +94,7 @@ _LEARNING: dict[str, dict[str, str]] = {
     "learning rate": {"train/lr": ""},
     "samples per second": {"train/samples_per_s": ""},
 }
+_NOISY = ("train/loss", "train/epe", "train/zero_epe")
 _UNCERTAINTY: dict[str, dict[str, str]] = {
     "rank correlation with the error": {"val/spearman": ""},
     "AUSE: 0 is a perfect order of the pixels": {"val/ause": ""},
@@ -103,7 +104,7 @@ _UNCERTAINTY: dict[str, dict[str, str]] = {
 
 
 def learning_curves(run: Run, window: int = 20) -> RgbImage:
-    """Error, loss, learning rate and speed over steps: RGB uint8. Training scalars are means over ``window`` values."""
+    """Error, loss (means over ``window`` values in training), learning rate and speed over steps: RGB uint8."""
     return _panels(run, _LEARNING, window)
 
 
@@ -125,7 +126,7 @@ def _panels(run: Run, panels: Mapping[str, Mapping[str, str]], window: int) -> R
         axes = figure.add_subplot(rows, columns, index + 1)
         for name, label in lines.items():
             if name in run.scalars:
-                _draw(axes, run.scalars[name], label, window if name.startswith("train/") else 1)
+                _draw(axes, run.scalars[name], label, window if name in _NOISY else 1)
         axes.set_title(title, fontsize=10)
         axes.set_xlabel("step", fontsize=9)
         axes.tick_params(labelsize=9)
