@@ -26,20 +26,27 @@ LIMIT_BYTES = 11_000_000
 
 def card(name: str, digest: str, metadata: dict[str, Any], net: Any, config: str, scores: Any, args: Any) -> str:
     """The model card as Markdown."""
-    from ajna.nn import count_macs, count_parameters
+    from ajna.nn import count_macs, count_parameters, load_checkpoint
 
     provenance = metadata["provenance"]
-    seconds = float(provenance.get("training_seconds", "nan"))
     gflop = 2 * count_macs(net.config, 240, 320) / 1e9
-    amount = f"{provenance['steps']} steps, {int(provenance['samples']):,} samples, {seconds / 60:.0f} minutes"
+    trained = f"{amount(provenance)} on {args.hardware}"
+    if args.earlier:
+        earlier = load_checkpoint(args.earlier)[1]["provenance"]
+        total = {key: float(provenance[key]) + float(earlier[key]) for key in ("steps", "samples", "training_seconds")}
+        trained += f", after {amount(earlier)} of an earlier run, whose weights it began with; {amount(total)} in all"
+    calibration = "none: expected errors are the loss's own, and there are no intervals"
+    if metadata.get("calibration") is not None:
+        calibration = ", ".join(f"{key} {value}" for key, value in metadata["calibration"].provenance.items())
     lines = [
         f"# Model card: ajna-{name}-{digest}",
         "",
         f"- **Network**: {net!r}; {count_parameters(net):,} parameters; {gflop:.2f} GFLOP at 320x240.",
         f"- **Loss**: {metadata['loss']}; network output x {metadata['flow_scale']:g} = pixels.",
         f"- **Data**: {provenance.get('data', 'not recorded')}.",
-        f"- **Training**: {amount} on {args.hardware}; "
+        f"- **Training**: {trained}; "
         f"{provenance['skipped_steps']} steps skipped as not finite; torch {provenance['torch']}.",
+        f"- **Calibration**: {calibration}.",
         "- **Licence**: MIT, as the rest of the package.",
         "",
         "## Scores",
@@ -64,6 +71,12 @@ def card(name: str, digest: str, metadata: dict[str, Any], net: Any, config: str
     return "\n".join(lines)
 
 
+def amount(provenance: dict[str, Any]) -> str:
+    """Steps, samples and time as a run counted them."""
+    minutes = float(provenance.get("training_seconds", "nan")) / 60
+    return f"{int(provenance['steps']):,} steps, {int(provenance['samples']):,} samples, {minutes:.0f} minutes"
+
+
 def score_row(entry: dict[str, Any]) -> str:
     """One line of the table from one method's mean."""
 
@@ -84,6 +97,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--name", default="best", help="name under which ajna.load finds it")
     parser.add_argument("--scores", type=Path, required=True, help="JSON of `ajna evaluate --json`")
     parser.add_argument("--hardware", required=True, help="what it was trained on")
+    parser.add_argument("--earlier", type=Path, help="checkpoint whose weights the run began with")
     parser.add_argument("--into", type=Path, default=WEIGHTS, help="folder to write to")
     parser.add_argument("--note", action="append", default=[], help="a known limit; may be given several times")
     args = parser.parse_args(argv)

@@ -81,3 +81,16 @@ def test_bad_input_is_one_sentence(
     assert ship.main(arguments(run, tmp_path)) == 2
     assert "model.safetensors" in capsys.readouterr().err
     assert not list(tmp_path.glob("*.md"))
+
+
+def test_card_adds_the_run_that_it_began_with(ship: ModuleType, run: Path, tmp_path: Path) -> None:
+    earlier = tmp_path / "earlier.safetensors"
+    provenance = {"steps": "1000", "samples": "8000", "training_seconds": "3510"}
+    nn.save_checkpoint(earlier, nn.FlowNet(width=4), "first", losses.UncertaintyLoss(), 8.0, provenance)
+    into = tmp_path / "weights"
+    into.mkdir()
+    assert ship.main([*arguments(run, into), "--earlier", str(earlier)]) == 0
+    text = (into / "ajna-tiny.md").read_text()
+    assert "12 steps, 96 samples, 2 minutes on a test, after 1,000 steps, 8,000 samples, 58 minutes" in text
+    assert "1,012 steps, 8,096 samples, 60 minutes in all" in text
+    assert "**Calibration**: none" in text
