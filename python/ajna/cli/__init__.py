@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The command line: ``ajna predict | video | evaluate | export | info``.
+"""The command line: ``ajna predict | video | evaluate | export | info | losses | sim | bench``.
 
 Commands import what is heavy (torch, OpenCV, matplotlib) inside their functions, so that ``--help`` is quick. They
 raise ordinary exceptions; :func:`ajna.cli.errors.run` alone turns those into one sentence and an exit code.
