@@ -45,7 +45,7 @@ def _grid_faces(rows: int, columns: int) -> NDArray[np.int32]:
     return np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]).astype(np.int32)
 
 
-def tube(path: Floats, radii: Floats, sides: int = 10, tile_m: float = 0.5, cap: bool = True) -> Mesh:
+def tube(path: Floats, radii: NDArray[np.floating], sides: int = 10, tile_m: float = 0.5, cap: bool = True) -> Mesh:
     """A tube along points [N, 3] with a radius at each; the texture repeats every ``tile_m`` metres."""
     tangent = np.gradient(path, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
@@ -73,7 +73,7 @@ def tube(path: Floats, radii: Floats, sides: int = 10, tile_m: float = 0.5, cap:
     return merged(parts)
 
 
-def box(size: Sequence[float], tile_m: float = 0.5) -> Mesh:
+def box(size: Sequence[float] | Floats, tile_m: float = 0.5) -> Mesh:
     """A box of the full side lengths ``size``, centred at the origin."""
     parts = []
     half = np.asarray(size, float) / 2

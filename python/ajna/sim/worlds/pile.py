@@ -91,7 +91,7 @@ def pile(seed: int, camera: CameraModel, vehicle: VehicleConfig, kind: str | Non
         low = float(mesh.vertices[:, 2].min())
         pressed = 0.006 if kind == "household" else 0.012  # a little into the table, so that nothing hovers
         scene.show(mesh, coats[random.integers(len(coats))], (*spot, -low - pressed), random.uniform(0, 2 * np.pi))
-        outlines.append(Outline.circle(*spot, float(np.abs(mesh.vertices[:, :2]).max())))
+        outlines.append(Outline.circle(spot[0], spot[1], float(np.abs(mesh.vertices[:, :2]).max())))
     tilt = np.deg2rad(random.uniform(48, 68))
     first = _DISTANCE_M * np.array([-np.cos(tilt), 0, np.sin(tilt)])
     sideways = random.uniform(-1, 1)

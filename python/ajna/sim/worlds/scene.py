@@ -173,7 +173,7 @@ class Scene:
         )
         return name
 
-    def show(self, mesh: str | Mesh, material: str, position: Sequence[float] = (0, 0, 0), yaw: float = 0.0,
+    def show(self, mesh: str | Mesh, material: str, position: Sequence[float] | Floats = (0, 0, 0), yaw: float = 0.0,
              quat: Sequence[float] | None = None, body: Any = None) -> None:  # fmt: skip
         """Put a mesh in the world (or on a body): seen, never hit."""
         name = self.mesh(mesh) if isinstance(mesh, Mesh) else mesh
@@ -195,7 +195,7 @@ class Scene:
             type=mujoco.mjtGeom.mjGEOM_PLANE, size=[half_size_m, half_size_m, 1], material=material, group=0
         )
 
-    def solid(self, kind: str, size: Sequence[float], position: Sequence[float] = (0, 0, 0), yaw: float = 0.0,
+    def solid(self, kind: str, size: Sequence[float], position: Sequence[float] | Floats = (0, 0, 0), yaw: float = 0.0,
               body: Any = None, mass: float = 0.0, fromto: Sequence[float] | None = None) -> None:  # fmt: skip
         """A shape that is hit and not seen: ``kind`` box, cylinder, capsule, sphere; sizes as MuJoCo's (halves)."""
         more: dict[str, Any] = {}
@@ -213,7 +213,7 @@ class Scene:
             **more,
         )
 
-    def hull(self, points: Floats, position: Sequence[float]) -> None:
+    def hull(self, points: Floats, position: Sequence[float] | Floats) -> None:
         """The convex hull of points [N, 3]: hit, not seen."""
         name = self.name("hull")
         self.spec.add_mesh(
