@@ -106,7 +106,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if given.no_notebook:
         return 0
     sys.path.insert(0, str(Path(__file__).parent))
-    import execute_notebooks
+    import execute_notebooks  # type: ignore[import-not-found]  # a script beside this one
 
     return execute_notebooks.main([str(NOTEBOOK)])
 

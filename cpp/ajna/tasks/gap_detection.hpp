@@ -30,6 +30,8 @@ struct GapDetection {
   std::vector<cv::Point2f> contour;
   Eigen::Vector2d safe_px = Eigen::Vector2d::Zero();  ///< median of the mask's pixels, per axis
   double contrast = 0.0;                              ///< against the ring
+  double score = 0.0;                                 ///< by which the best of all candidates was chosen
+  bool certain = false;                               ///< found as a region more certain than its ring
 };
 
 /// The gap in a (stacked) map: the region with the largest contrast to its ring, weighted by its size, that does not

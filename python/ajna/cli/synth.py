@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -76,7 +76,7 @@ def preview(
         Image.fromarray(picture).save(stage / out.name, format="PNG", optimize=True)
 
     length = pairs.flow.norm(dim=1)
-    summary = {
+    summary: dict[str, Any] = {
         "preset": preset,
         "file": str(out),
         "pairs": columns,

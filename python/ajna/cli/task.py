@@ -256,8 +256,8 @@ def _segment(stamped: Iterator[Stamped], network: Any, fov_rad: float) -> Iterat
         done = result.status == "ok"
         found = {
             "box": list(result.box) if done else None,
-            "attention_px": int(np.count_nonzero(result.attention)) if done else 0,
-            "segmentation_px": int(np.count_nonzero(result.segmentation)) if done else 0,
+            "attention_px": int(np.count_nonzero(np.asarray(result.attention))) if done else 0,
+            "segmentation_px": int(np.count_nonzero(np.asarray(result.segmentation))) if done else 0,
         }
         yield (
             task_overlays.segment_overlay(first, uncertainty, result),

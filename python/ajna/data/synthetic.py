@@ -55,7 +55,7 @@ class SyntheticScenes(FlowDataset):
     ) -> None:
         if count < 1 or width < 1 or height < 1 or seed < 0:
             raise ValueError(
-                f"{count} scenes of {width}x{height} with seed {seed}: give at least 1 scene and pixel, and a seed >= 0."
+                f"{count} scenes of {width}x{height} with seed {seed}: give at least 1 scene and pixel, a seed >= 0."
             )
         super().__init__("synthetic", [f"scene_{index:05d}" for index in range(count)])
         self.width, self.height, self.seed, self.motion = width, height, seed, motion

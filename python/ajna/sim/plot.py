@@ -30,7 +30,9 @@ def plan_view(world: World, results: Mapping[str, Sequence[EpisodeResult]]) -> A
     if isinstance(world.setup, DodgeSetup):
         setup = world.setup
         end = setup.position + setup.velocity * setup.flight_s
-        axes.annotate("", end[:2], setup.position[:2], arrowprops={"arrowstyle": "->", "color": "tab:red"})
+        axes.annotate(
+            "", tuple(end[:2]), tuple(setup.position[:2]), arrowprops={"arrowstyle": "->", "color": "tab:red"}
+        )
     for label, trials in results.items():
         for trial in trials:
             if trial.seed == world.seed and trial.path:

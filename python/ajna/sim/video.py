@@ -28,10 +28,10 @@ _VIEWS = {
 
 def overlay(rgb: RgbImage, output: Output) -> RgbImage:
     """The picture with the mask in orange and the point as a green cross."""
-    picture = rgb.astype(np.float32)
+    blended = rgb.astype(np.float32)
     if output.mask is not None:
-        picture[output.mask] = 0.55 * picture[output.mask] + 0.45 * np.array([255, 140, 0], np.float32)
-    picture = np.rint(picture).astype(np.uint8)
+        blended[output.mask] = 0.55 * blended[output.mask] + 0.45 * np.array([255, 140, 0], np.float32)
+    picture = np.rint(blended).astype(np.uint8)
     if output.point_px is not None:
         height, width = picture.shape[:2]
         x, y = (round(v) for v in output.point_px)

@@ -19,6 +19,8 @@ class NonFiniteLoss(RuntimeError):
 def save_batch(path: Path, batch: dict[str, Any], **figures: float) -> None:
     """Write a training batch to ``path`` (.npz), with ``figures`` beside it: read it with ``numpy.load``."""
     content: dict[str, Any] = {**batch, **figures}
-    arrays = {name: value.cpu().numpy() if isinstance(value, Tensor) else value for name, value in content.items()}
+    arrays: dict[str, Any] = {
+        name: value.cpu().numpy() if isinstance(value, Tensor) else value for name, value in content.items()
+    }
     with atomic_path(path) as temporary:
         np.savez_compressed(temporary, **arrays)

@@ -74,7 +74,8 @@ class Network:
         result = np.squeeze(answer)
         if result.ndim != 2:
             raise ValueError(f"network '{self.path}' answers with shape {answer.shape}: expected one map, [1, 1, H, W]")
-        return result if result.shape == (height, width) else cv2.resize(result, (width, height))
+        scaled = result if result.shape == (height, width) else cv2.resize(result, (width, height))
+        return np.asarray(scaled, np.float32)
 
     def _run(self, batch: NDArray[np.float32]) -> NDArray[np.float32]:
         if self._onnx:
@@ -91,7 +92,8 @@ class Network:
 
 def image_input(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
     """RGB uint8 [H, W, 3] as float32 [3, H, W], normalised as for ImageNet."""
-    return ((rgb.astype(np.float32) / 255 - _MEAN) / _STD).transpose(2, 0, 1)
+    normalized = (rgb.astype(np.float32) / 255 - _MEAN) / _STD
+    return normalized.transpose(2, 0, 1).astype(np.float32)
 
 
 class _AsDepth:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,7 +87,7 @@ def opened(mask: Mask, open_px: int, close_px: int) -> Mask:
     """Morphological opening, then closing, with discs of the given widths (0 or 1: none)."""
     import cv2
 
-    image = mask.astype(np.uint8)
+    image: Any = mask.astype(np.uint8)
     for kind, size in ((cv2.MORPH_OPEN, open_px), (cv2.MORPH_CLOSE, close_px)):
         if size > 1:
             image = cv2.morphologyEx(image, kind, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))

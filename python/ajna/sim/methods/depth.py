@@ -85,7 +85,8 @@ class StereoSensor:
     def __init__(self) -> None:
         import cv2
 
-        self._matcher: Any = cv2.StereoSGBM_create(
+        create: Any = cv2.StereoSGBM_create  # type: ignore[attr-defined]  # missing in the stubs
+        self._matcher: Any = create(
             minDisparity=0, numDisparities=64, blockSize=5, P1=8 * 25, P2=32 * 25, disp12MaxDiff=1,
             uniquenessRatio=8, speckleWindowSize=60, speckleRange=2, preFilterCap=31,
             mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,

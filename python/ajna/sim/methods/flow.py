@@ -167,7 +167,7 @@ class RegionTracker:
 
         contours, _ = cv2.findContours(region.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         self._contour = max(contours, key=cv2.contourArea).reshape(-1, 2).astype(np.float32)
-        self._image = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
+        self._image = np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.uint8)
 
     def __call__(self, rgb: NDArray[np.uint8]) -> Mask | None:
         """The region in this frame, or None before the start."""
@@ -178,14 +178,15 @@ class RegionTracker:
         grey: Any = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
         inside = np.zeros(grey.shape, np.uint8)
         cv2.fillPoly(inside, [np.rint(self._contour).astype(np.int32)], 1)
-        ring = cv2.dilate(inside, np.ones((2 * self.RING_PX + 1,) * 2, np.uint8)) & (
-            1 - cv2.dilate(inside, np.ones((5, 5), np.uint8))
-        )
+        outer: Any = cv2.dilate(inside, np.ones((2 * self.RING_PX + 1,) * 2, np.uint8))
+        inner: Any = cv2.dilate(inside, np.ones((5, 5), np.uint8))
+        ring = outer & (1 - inner)
         corners = cv2.goodFeaturesToTrack(self._image, 120, 0.01, 5, mask=ring)
         if corners is not None and len(corners) >= 8:
-            window = {"winSize": (17, 17), "maxLevel": 3}
-            ahead, ok, _ = cv2.calcOpticalFlowPyrLK(self._image, grey, corners, None, **window)
-            back, ok_back, _ = cv2.calcOpticalFlowPyrLK(grey, self._image, ahead, None, **window)
+            window: dict[str, Any] = {"winSize": (17, 17), "maxLevel": 3}
+            track: Any = cv2.calcOpticalFlowPyrLK
+            ahead, ok, _ = track(self._image, grey, corners, None, **window)
+            back, ok_back, _ = track(grey, self._image, ahead, None, **window)
             good = (ok & ok_back).ravel().astype(bool) & (np.linalg.norm((back - corners).reshape(-1, 2), axis=1) < 1)
             if good.sum() >= 6:
                 before, after = corners.reshape(-1, 2)[good], ahead.reshape(-1, 2)[good]

@@ -56,8 +56,8 @@ def _shape(kind: str) -> Mesh:
         return merged([fuselage, wing, tail, fin])
     parts = [box((0.16, 0.07, height * 0.5), 0.15)]
     up = np.array([0.0, 0.0, 1.0])
-    for x, y in [(1, 1), (1, -1), (-1, 1), (-1, -1)]:
-        end = np.array([x * (length / 2 - 0.075), y * (width / 2 - 0.075), 0.03])
+    for side_x, side_y in [(1, 1), (1, -1), (-1, 1), (-1, -1)]:
+        end = np.array([side_x * (length / 2 - 0.075), side_y * (width / 2 - 0.075), 0.03])
         parts.append(tube(np.stack([[0, 0, 0.0], end * 0.5, end]), np.full(3, 0.011), 6, 0.1))
         parts.append(tube(end + up * np.array([[-0.03], [height / 2 - 0.035]]), np.full(2, 0.016), 8, 0.1))
         disc = end + up * np.array([[height / 2 - 0.04], [height / 2 - 0.03]])

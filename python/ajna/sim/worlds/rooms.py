@@ -24,9 +24,9 @@ def add_room(scene: Scene, x: tuple[float, float], half_width_m: float, height_m
         ((length, thickness, height_m), (middle, -half_width_m - thickness / 2, height_m / 2)),
         ((length, 2 * half_width_m, thickness), (middle, 0.0, height_m + thickness / 2)),
     ]
-    for size, position in walls:
-        scene.show(box(size, tile_m=2.5), scene.material(bank.surface("concrete")), position)
-        scene.solid("box", [side / 2 for side in size], position)
+    for wall, position in walls:
+        scene.show(box(wall, tile_m=2.5), scene.material(bank.surface("concrete")), position)
+        scene.solid("box", [side / 2 for side in wall], position)
     random = scene.random
     boards = [scene.material(bank.colored()) for _ in range(5)]
     for i in range(pictures):
