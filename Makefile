@@ -25,7 +25,8 @@ export PATH := $(abspath $(VENV))/bin:$(PATH)
 export CMAKE_BUILD_PARALLEL_LEVEL ?= $(shell nproc)
 
 APT_BUILD := make g++ python libopencv-dev libeigen3-dev libcli11-dev libspdlog-dev libyaml-cpp-dev
-APT_TEST := libgtest-dev
+# The last two let the simulator render off screen; its tests skip without.
+APT_TEST := libgtest-dev libosmesa6 libgl1
 APT_BENCH := libbenchmark-dev
 APT_LINT := clang-format clang-tidy
 

@@ -21,7 +21,20 @@ from ajna.cli import main  # noqa: E402
 
 Pair = tuple[np.ndarray, np.ndarray]
 RESULTS = {"flow.flo", "uncertainty.pfm", "flow.png", "uncertainty.png", "overview.png"}
-COMMANDS = ("predict", "video", "task", "sim", "evaluate", "calibrate", "export", "info", "losses", "bench", "study", "synth")
+COMMANDS = (
+    "predict",
+    "video",
+    "task",
+    "sim",
+    "evaluate",
+    "calibrate",
+    "export",
+    "info",
+    "losses",
+    "bench",
+    "study",
+    "synth",
+)
 
 
 @pytest.fixture

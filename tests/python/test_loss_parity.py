@@ -131,7 +131,7 @@ def test_a_training_config_builds_the_same_loss() -> None:
         ('h: {name: "1 / (softplus(a) + k)", params: {k: .nan}}', "'k' .* not finite"),
         ('g: "log(a)"', "not finite"),
         ('g: "a + 1e999"', "out of range"),
-        ("h: {name: inv_softplus, params: {epsilon: 1e-3}}", "'eps'"),
+        ("h: {name: inv_softplus, params: {epsilon: 1e-3}}", "'epsilon' Known: eps"),
         ("g: softpluss", "did you mean 'softplus'"),
         ("parametrisation: softplus", "did you mean 'parametrization'"),
         ("preset: kendal2017", "did you mean 'kendall2017'"),

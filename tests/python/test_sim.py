@@ -279,7 +279,7 @@ def test_command_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None
         (["sim", "forrest"], "did you mean 'forest'"),
         (["sim", "forest", "--method", "gapflyt"], "cannot be used in 'forest'"),
         (["sim", "forest", "--method", "midas"], "--weights FILE"),
-        (["bench", "gapp"], "did you mean 'gap'"),
+        (["bench", "gapp"], "Did you mean 'gap'"),
         (["bench", "gap", "--weights", "midas"], "not METHOD=FILE"),
     ],
 )

@@ -221,10 +221,12 @@ def test_a_step_that_is_not_finite_is_skipped_and_counted() -> None:
     assert any(not torch.equal(p, before[name]) for name, p in module.net.named_parameters())
 
 
-def test_too_many_bad_steps_in_a_row_end_the_run() -> None:
+def test_too_many_bad_steps_in_a_row_end_the_run(tmp_path: Path) -> None:
     module = FlowModule(NetOptions(width=4), optim=OptimOptions(max_bad_steps=3))
+    module.failure_folder = tmp_path
     with pytest.raises(RuntimeError, match="3 steps in a row"):
         run_steps(module, [batch_of(math.inf)] * 5)
+    assert [path.name for path in tmp_path.iterdir()] == ["bad-batch-step-0000002.npz"]
 
 
 def test_the_averaged_network_follows_and_stays_in_eval_mode() -> None:

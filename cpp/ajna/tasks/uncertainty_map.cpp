@@ -252,7 +252,7 @@ MapSteps find_regions(const cv::Mat& map, const MapOptions& options) {
   if (!is_valid_map(map)) {
     return steps;
   }
-  steps.scalar = map;
+  steps.scalar = map.clone();  // the caller may let go of its memory
   if (options.smooth_px > 0.0) {
     cv::GaussianBlur(map, steps.scalar, {}, options.smooth_px, options.smooth_px, cv::BORDER_REPLICATE);
   }
