@@ -101,6 +101,18 @@ TEST(UncertaintyMap, FlatAndUnusableMaps) {
   }
 }
 
+TEST(UncertaintyMap, LeavesTheCallersMapAlone) {
+  const cv::Mat map = with_disc(calm_map(), {100, 80}, 20, 1.5);
+  const cv::Mat before = map.clone();
+  MapOptions options;
+  for (const double smooth : {0.0, 2.0}) {
+    options.smooth_px = smooth;
+    const MapSteps steps = find_regions(map, options);
+    EXPECT_NE(steps.scalar.data, map.data) << smooth;
+    EXPECT_EQ(cv::norm(map, before, cv::NORM_INF), 0.0) << smooth;
+  }
+}
+
 TEST(UncertaintyMap, RefusesImpossibleOptions) {
   const cv::Mat map = calm_map();
   MapOptions options;

@@ -29,8 +29,8 @@ struct GapDetection {
   cv::Mat mask;    ///< CV_8U, 0 or 255: the gap
   std::vector<cv::Point2f> contour;
   Eigen::Vector2d safe_px = Eigen::Vector2d::Zero();  ///< median of the mask's pixels, per axis
-  double contrast = 0.0;                              ///< against the ring
-  double score = 0.0;                                 ///< by which the best of all candidates was chosen
+  double contrast = 0.0;                              ///< against the ring, at least 1
+  double score = 0.0;                                 ///< (contrast - 1) x square root of the area
   bool certain = false;                               ///< found as a region more certain than its ring
 };
 

@@ -198,7 +198,7 @@ double map_quantile(const cv::Mat& map, double q) {
   for (int y = 0; y < map.rows; ++y) {
     const float* row = map.ptr<float>(y);
     for (int x = 0; x < map.cols; ++x) {
-      ++histogram[static_cast<std::size_t>((row[x] - base) * scale + 0.5F)];
+      ++histogram[static_cast<std::size_t>(cvRound((row[x] - base) * scale))];
     }
   }
   const double wanted = q * static_cast<double>(map.total());
@@ -252,8 +252,10 @@ MapSteps find_regions(const cv::Mat& map, const MapOptions& options) {
   if (!is_valid_map(map)) {
     return steps;
   }
-  steps.scalar = map.clone();  // the caller may let go of its memory
-  if (options.smooth_px > 0.0) {
+  // Never in place: the map belongs to the caller.
+  if (options.smooth_px <= 0.0) {
+    steps.scalar = map.clone();
+  } else {
     cv::GaussianBlur(map, steps.scalar, {}, options.smooth_px, options.smooth_px, cv::BORDER_REPLICATE);
   }
   cv::Mat relief = steps.scalar;
