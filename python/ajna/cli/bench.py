@@ -20,7 +20,11 @@ if TYPE_CHECKING:
 SYNTHETIC = "synthetic"
 MEMBER_FILE = "model.safetensors"  # what a training run leaves in its folder
 
-bench = typer.Typer(help="Measure and compare; each command prints a table.", no_args_is_help=True)
+bench = typer.Typer(
+    help="Measure and compare; each command prints a table.",
+    epilog="Example: ajna bench uncertainty --dataset synthetic",
+    no_args_is_help=True,
+)
 
 
 @bench.callback()

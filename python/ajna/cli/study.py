@@ -13,7 +13,12 @@ import typer
 from ajna.cli.options import JsonOption
 from ajna.cli.outputs import check_folder, staged_folder
 
-study = typer.Typer(name="study", help="Experiments that hold a claim against measurements.", no_args_is_help=True)
+study = typer.Typer(
+    name="study",
+    help="Experiments that hold a claim against measurements.",
+    epilog="Example: ajna study loss --out out",
+    no_args_is_help=True,
+)
 
 
 @study.callback()

@@ -17,7 +17,11 @@ if TYPE_CHECKING:
 
     from ajna.synth import PairBatch
 
-app = typer.Typer(help="The synthetic scenes: list their presets, look at them.", no_args_is_help=True)
+app = typer.Typer(
+    help="The synthetic scenes: list their presets, look at them.",
+    epilog="Example: ajna synth preview --preset gap --out gap.png",
+    no_args_is_help=True,
+)
 
 _GUTTER, _GAP = 92, 3  # pixels: room for the names of the rows, space between pictures
 _MAX_COLUMNS = 64
