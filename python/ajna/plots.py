@@ -41,10 +41,10 @@ def _grid(figure: Figure, rows: int, columns: int, **options: Any) -> NDArray[An
     return np.asarray(figure.subplots(rows, columns, squeeze=False, **options), dtype=object)
 
 
-def _plain_ticks(place: Axes, low: float, high: float) -> None:
-    """Ticks 1, 2, 5 of every decade, and 0, as plain numbers on a logarithmic horizontal axis from low to high."""
+def _plain_ticks(place: Axes, low: float, high: float, least: float = 0.0) -> None:
+    """Ticks 1, 2, 5 of every decade, and 0, from low to high; but none between 0 and `least`."""
     steps = [step * 10.0**power for power in range(-3, 4) for step in (1, 2, 5)]
-    ticks = [tick for tick in (0.0, *steps) if low <= tick <= high and not 0 < tick < high / 200]
+    ticks = [tick for tick in (0.0, *steps) if low <= tick <= high and not 0 < tick < max(least, high / 200)]
     place.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     place.xaxis.set_minor_locator(NullLocator())
 
@@ -188,7 +188,7 @@ def relations_plot(
         place.plot(curve.value, curve.expected, marker="s", markersize=3.5, color=_EXPECTED, label="expected")
         if name in logarithmic:
             place.set_xscale("symlog", linthresh=1.0)
-            _plain_ticks(place, 0.0 if curve.value.min() < 1 else curve.value.min(), curve.value.max())
+            _plain_ticks(place, 0.0 if curve.value.min() < 1 else curve.value.min(), curve.value.max(), least=0.5)
         place.set_ylim(bottom=0)
         place.set_xlabel(name)
         place.set_ylabel("error, px")
