@@ -132,11 +132,11 @@ struct Matches {
 Matches approach(const Vector2d& focus, double outliers, double noise_px, int count = 120) {
   std::mt19937 random(11);
   std::uniform_real_distribution<double> x(0, 320), y(0, 240), rate(0.02, 0.15), coin(0, 1);
-  std::normal_distribution<double> noise(0, noise_px);
+  std::normal_distribution<double> unit;
   Matches matches;
   for (int i = 0; i < count; ++i) {
     const Vector2d begin(x(random), y(random));
-    Vector2d end = begin + rate(random) * (begin - focus) + Vector2d(noise(random), noise(random));
+    Vector2d end = begin + rate(random) * (begin - focus) + Vector2d(noise_px * unit(random), noise_px * unit(random));
     if (coin(random) < outliers) {
       end = begin + Vector2d(20 * coin(random) - 10, 20 * coin(random) - 10);
     }
