@@ -184,14 +184,15 @@ def _print(result: CalibrationResult, out: Path) -> None:
     for name in figures:
         table.add_column(name, justify="right", no_wrap=True)
 
-    def row(label: str, form: str, value: Callable[[HeldOut], Any]) -> None:
-        table.add_row(label, *(form.format(float(value(figure))) for figure in figures.values()))
+    def row(label: str, form: str, values: list[Any]) -> None:
+        table.add_row(label, *(form.format(float(value)) for value in values))
 
-    row("ECE of the expected error, px", "{:.3f}", lambda figure: figure.reliability.ece)
-    row("relative (ENCE)", "{:.1%}", lambda figure: figure.reliability.ence)
+    row("ECE of the expected error, px", "{:.3f}", [figure.reliability.ece for figure in figures.values()])
+    row("relative (ENCE)", "{:.1%}", [figure.reliability.ence for figure in figures.values()])
+    coverages = [figure.coverage for figure in figures.values()]
     for index, level in enumerate(result.after.coverage.levels.tolist()):
-        row(f"coverage of the {level:.0%} interval", "{:.1%}", lambda figure, i=index: figure.coverage.coverage[i])  # type: ignore[misc]
-        row("  its mean width, px", "{:.2f}", lambda figure, i=index: figure.coverage.width[i])  # type: ignore[misc]
+        row(f"coverage of the {level:.0%} interval", "{:.1%}", [coverage.coverage[index] for coverage in coverages])
+        row("  its mean width, px", "{:.2f}", [coverage.width[index] for coverage in coverages])
     Console(width=None).print(table)
     typer.echo(f"intervals before: {result.before.intervals_from}; after: {result.after.intervals_from}")
     if result.skipped_levels:
