@@ -35,8 +35,9 @@ STAMP := $(VENV)/.stamp
 # What goes into the wheel; folders too, so that a deleted file counts as a change.
 SOURCES := CMakeLists.txt pyproject.toml tools/torch_requirement.py \
            $(shell find cpp python -name __pycache__ -prune -o -print)
-CONFIGURE = cmake -S . -B $(BUILD) -G Ninja -DCMAKE_BUILD_TYPE=Release -DPython_EXECUTABLE=$(abspath $(PY)) \
-            -DAJNA_BUILD_PYTHON=ON
+CONFIGURE_IN = cmake -S . -G Ninja -DCMAKE_BUILD_TYPE=Release -DPython_EXECUTABLE=$(abspath $(PY)) \
+               -DAJNA_BUILD_PYTHON=ON -B
+CONFIGURE = $(CONFIGURE_IN) $(BUILD)
 
 .PHONY: help setup demo test lint format bench sanitize clean always apt apt-test
 .DELETE_ON_ERROR:
@@ -55,7 +56,10 @@ test: apt-test $(STAMP)/package-test
 
 lint: apt-test $(STAMP)/package-lint
 	@sh tools/apt.sh $(APT_LINT)
-	@sh tools/lint.sh $(BUILD) $(VENV)/bin
+	@# clang-tidy wants the command of every single source.
+	@mkdir -p build/lint
+	@$(CONFIGURE_IN) build/lint -DAJNA_UNITY_BUILD=OFF > build/lint/configure.log || (cat build/lint/configure.log; false)
+	@sh tools/lint.sh build/lint $(VENV)/bin
 
 format: $(STAMP)/package-lint
 	@sh tools/apt.sh $(APT_LINT)

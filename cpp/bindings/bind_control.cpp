@@ -38,7 +38,7 @@ void bind_command(py::module_& m) {
       .def_property_readonly("integral", &Pid::integral);
 }
 
-void bind_dodge(py::module_& m) {
+void bind_dodge_policy(py::module_& m) {
   py::class_<DodgePolicyOptions> options(m, "DodgePolicyOptions", "Of DodgePolicy.");
   options.def(py::init<>());
 #define AJNA_FIELD(name) options.def_readwrite(#name, &DodgePolicyOptions::name)
@@ -55,7 +55,7 @@ void bind_dodge(py::module_& m) {
       .def_property_readonly("dodging", &DodgePolicy::dodging);
 }
 
-void bind_navigate(py::module_& m) {
+void bind_navigate_policy(py::module_& m) {
   py::class_<NavigatePolicyOptions> options(m, "NavigatePolicyOptions", "Of NavigatePolicy.");
   options.def(py::init<>());
 #define AJNA_FIELD(name) options.def_readwrite(#name, &NavigatePolicyOptions::name)
@@ -82,7 +82,7 @@ void bind_navigate(py::module_& m) {
       .def("reset", &NavigatePolicy::reset);
 }
 
-void bind_gap(py::module_& m) {
+void bind_gap_policy(py::module_& m) {
   py::class_<ExploreOptions> explore_options(m, "ExploreOptions", "Of the exploratory manoeuvre.");
   explore_options.def(py::init<>())
       .def_readwrite("speed_m_s", &ExploreOptions::speed_m_s)
@@ -113,9 +113,9 @@ void bind_gap(py::module_& m) {
 
 void bind_control(py::module_& m) {
   bind_command(m);
-  bind_dodge(m);
-  bind_navigate(m);
-  bind_gap(m);
+  bind_dodge_policy(m);
+  bind_navigate_policy(m);
+  bind_gap_policy(m);
 }
 
 }  // namespace ajna::bindings

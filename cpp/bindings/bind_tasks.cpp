@@ -29,7 +29,7 @@ Vector2d to_eigen(const cv::Point2d& p) { return {p.x, p.y}; }
 /// A cv::Mat member as a read-only property: a float or int map, or (mask) bool.
 template <typename Class>
 void def_map(py::class_<Class>& bound, const char* name, cv::Mat Class::*member) {
-  bound.def_property_readonly(name, [member](const Class& self) { return to_numpy(self.*member); });
+  bound.def_property_readonly(name, [member](const Class& self) { return mat_to_numpy(self.*member); });
 }
 template <typename Class>
 void def_mask(py::class_<Class>& bound, const char* name, cv::Mat Class::*member) {

@@ -71,7 +71,7 @@ inline ImageView rgb_view(const pybind11::array& array, pybind11::array& keep) {
 }
 
 /// A copy of a one-channel Mat as numpy; None for an empty one. CV_8U masks become bool.
-inline pybind11::object to_numpy(const cv::Mat& mat) {
+inline pybind11::object mat_to_numpy(const cv::Mat& mat) {
   namespace py = pybind11;
   if (mat.empty()) {
     return py::none();
@@ -94,7 +94,7 @@ inline pybind11::object to_numpy(const cv::Mat& mat) {
 }
 
 inline pybind11::object to_mask(const cv::Mat& mat) {
-  return mat.empty() ? pybind11::none() : to_numpy(mat).attr("astype")("bool");
+  return mat.empty() ? pybind11::none() : mat_to_numpy(mat).attr("astype")("bool");
 }
 
 /// Points as float64 [N, 2].

@@ -8,40 +8,18 @@
 
 #include "ajna/base/error.hpp"
 #include "ajna/loss/uncertainty_loss.hpp"
+#include "loss_fixtures.hpp"
 
 namespace ajna::loss {
 namespace {
 
 using torch::Tensor;
 
-const auto kDouble = torch::TensorOptions().dtype(torch::kFloat64);
-
 double softplus(double x) { return x > 30 ? x : std::log1p(std::exp(x)); }
 double sigmoid(double x) { return 1.0 / (1.0 + std::exp(-x)); }
 
-LossConfig config_of(TermSpec f, TermSpec h, TermSpec g, TermSpec parametrization = {"none"}, double lam = 1.0) {
-  LossConfig config;
-  config.f = std::move(f);
-  config.h = std::move(h);
-  config.g = std::move(g);
-  config.parametrization = std::move(parametrization);
-  config.lam = lam;
-  return config;
-}
-
 Tensor map_of(std::initializer_list<double> values) {
   return torch::tensor(std::vector<double>(values), kDouble).view({1, 1, 1, -1});
-}
-
-template <class Function>
-std::string message_of(Function&& function) {
-  try {
-    function();
-  } catch (const Error& error) {
-    EXPECT_EQ(error.kind(), ErrorKind::kInvalidArgument);
-    return error.what();
-  }
-  return "";
 }
 
 TEST(UncertaintyLoss, DefaultIsThePapersEquationOne) {

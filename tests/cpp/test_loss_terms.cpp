@@ -10,34 +10,12 @@
 #include "ajna/loss/expression.hpp"
 #include "ajna/loss/likelihood.hpp"
 #include "ajna/loss/presets.hpp"
+#include "loss_fixtures.hpp"
 
 namespace ajna::loss {
 namespace {
 
 using torch::Tensor;
-
-const auto kDouble = torch::TensorOptions().dtype(torch::kFloat64);
-
-template <class Function>
-std::string message_of(Function&& function) {
-  try {
-    function();
-  } catch (const Error& error) {
-    EXPECT_EQ(error.kind(), ErrorKind::kInvalidArgument);
-    return error.what();
-  }
-  return "";
-}
-
-LossConfig config_of(TermSpec f, TermSpec h, TermSpec g, TermSpec parametrization, double lam = 1.0) {
-  LossConfig config;
-  config.f = std::move(f);
-  config.h = std::move(h);
-  config.g = std::move(g);
-  config.parametrization = std::move(parametrization);
-  config.lam = lam;
-  return config;
-}
 
 /// Largest difference between an analytic and a central finite difference gradient of y(x).
 template <class Function>

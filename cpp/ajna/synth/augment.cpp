@@ -16,7 +16,6 @@ namespace {
 namespace F = torch::nn::functional;
 using torch::Tensor;
 
-constexpr double kPi = 3.14159265358979323846;
 /// Neighbours whose flow differs by more than this lie on different surfaces: no interpolation between them.
 constexpr double kSurfaceStep = 0.5;  // pixels
 

@@ -9,7 +9,6 @@ namespace {
 
 using torch::Tensor;
 
-constexpr double kPi = 3.14159265358979323846;
 /// The camera travels at most this part of the way to the nearest point in view, so that everything stays before it.
 constexpr double kMaxApproach = 0.35;
 constexpr double kMaxTurn = 0.3;    // rad per frame interval

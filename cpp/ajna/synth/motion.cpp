@@ -9,7 +9,6 @@ namespace {
 
 using torch::Tensor;
 
-constexpr double kPi = 3.14159265358979323846;
 constexpr std::int64_t kWaves = 2;
 
 /// Parameter k of each row (or pixel), shaped to broadcast against [R, H, W] planes.

@@ -8,6 +8,8 @@
 
 namespace ajna::synth {
 
+inline constexpr double kPi = 3.14159265358979323846;
+
 /// Seeded draws on the CPU, so that equal seeds give equal scenes on every device.
 class Random {
  public:

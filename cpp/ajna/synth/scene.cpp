@@ -9,7 +9,6 @@ namespace {
 
 using torch::Tensor;
 
-constexpr double kPi = 3.14159265358979323846;
 constexpr std::uint64_t kExtraStream = 0xD1B54A32D192ED03ULL;  // any odd constant: a stream apart from the seed's own
 
 /// Centres and sizes of what stands before a moving camera: a layer twice as far is half as large, and where there is a

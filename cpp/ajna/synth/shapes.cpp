@@ -9,7 +9,6 @@ namespace {
 namespace F = torch::nn::functional;
 using torch::Tensor;
 
-constexpr double kPi = 3.14159265358979323846;
 constexpr double kExtent = 1.3;       // half side of the raster, in layer radii
 constexpr std::int64_t kRaster = 64;  // raster side; bilinear interpolation keeps straight edges straight
 constexpr std::int64_t kSegments = 4;

@@ -13,8 +13,6 @@ namespace F = torch::nn::functional;
 using torch::Tensor;
 using torch::indexing::Slice;
 
-constexpr double kPi = 3.14159265358979323846;
-
 Tensor coordinates(std::int64_t size) { return torch::arange(size, torch::kFloat32); }
 
 /// Rotated coordinate in pixels: x cos(angle) + y sin(angle), [size, size].
