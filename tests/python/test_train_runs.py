@@ -239,32 +239,39 @@ def test_a_killed_and_resumed_run_equals_a_straight_one_bit_for_bit(
     assert last == {row["step"]: row["val/epe"] for row in rows_of(straight) if row["val/epe"]}
 
 
-def test_two_processes_learn_the_same_from_different_pairs(root: Path, arguments: list[str], tmp_path: Path) -> None:
-    """A run of two processes, each of which notes its pairs, gradients and weights."""
-    note = (
+def two_processes(arguments: list[str], folder: Path, step: str) -> list[dict[str, Any]]:
+    """An epoch of a run of two processes whose training step is `step`; their notes and weights."""
+    script = folder / "train.py"  # the second process runs the file of the first again
+    script.write_text(
         "import sys, torch\n"
         "from ajna.training import cli, module\n"
         "from pathlib import Path\n"
-        "step = module.FlowModule.training_step\n"
-        "def noted(self, batch, index):\n"
-        "    self.names = [*getattr(self, 'names', []), *batch['name']]\n"
-        "    step(self, batch, index)\n"
-        "    self.gradients = [p.grad.clone() for p in self.net.parameters()]\n"
-        "module.FlowModule.training_step = noted\n"
+        "module.FlowModule.note = property(lambda self: self.__dict__.setdefault('noted', {}))\n"
+        "original = module.FlowModule.training_step\n"
+        f"{step}"
+        "module.FlowModule.training_step = step\n"
         "def end(self):\n"
-        "    found = {'names': self.names, 'grad': self.gradients, 'net': [p.data for p in self.net.parameters()],\n"
+        "    found = {**self.note, 'net': [p.data for p in self.net.parameters()], 'skipped': self.skipped,\n"
         "             'epe': float(self.trainer.callback_metrics['val/epe'])}\n"
-        f"    torch.save(found, Path({str(tmp_path)!r}) / f'rank{{self.global_rank}}.pt')\n"
+        f"    torch.save(found, Path({str(folder)!r}) / f'rank{{self.global_rank}}.pt')\n"
         "module.FlowModule.on_train_end = end\n"
         "sys.exit(cli.main(sys.argv[1:]))\n"
     )
-    script = tmp_path / "train.py"  # the second process runs the file of the first again
-    script.write_text(note)
     two = ["--trainer.accelerator", "cpu", "--trainer.devices", "2", "--trainer.strategy", "ddp"]
-    two += ["--trainer.max_epochs", "1", "--runs", str(tmp_path)]
+    two += ["--trainer.max_epochs", "1", "--runs", str(folder)]
     done = child(f"import runpy, sys; sys.argv[0] = {str(script)!r}; runpy.run_path(sys.argv[0])", *arguments, *two)
     assert done.returncode == 0, done.stderr[-3000:]
-    zero, one = (torch.load(tmp_path / f"rank{rank}.pt") for rank in (0, 1))
+    return [torch.load(folder / f"rank{rank}.pt") for rank in (0, 1)]
+
+
+def test_two_processes_learn_the_same_from_different_pairs(arguments: list[str], tmp_path: Path) -> None:
+    noted = (
+        "def step(self, batch, index):\n"
+        "    self.note.setdefault('names', []).extend(batch['name'])\n"
+        "    original(self, batch, index)\n"
+        "    self.note['grad'] = [p.grad.clone() for p in self.net.parameters()]\n"
+    )
+    zero, one = two_processes(arguments, tmp_path, noted)
     assert len(zero["names"]) == len(one["names"]) == 6 and len({*zero["names"], *one["names"]}) == 12
     for key in ("grad", "net"):
         assert all(torch.equal(a, b) for a, b in zip(zero[key], one[key], strict=True)), key
@@ -275,6 +282,22 @@ def test_two_processes_learn_the_same_from_different_pairs(root: Path, arguments
     assert not fit([*arguments, "--runs", str(tmp_path), "--trainer.max_epochs", "2", "--resume", "true"]), (
         "goes on with one process"
     )
+
+
+def test_two_processes_leave_out_a_step_that_fails_in_one(arguments: list[str], tmp_path: Path) -> None:
+    spoiled = (
+        "def step(self, batch, index):\n"
+        "    before = [p.detach().clone() for p in self.net.parameters()]\n"
+        "    if self.steps_done == 1 and self.global_rank == 1:\n"
+        "        batch = {**batch, 'flow': batch['flow'] * float('nan')}\n"
+        "    original(self, batch, index)\n"
+        "    moved = any(not torch.equal(a, b) for a, b in zip(before, self.net.parameters()))\n"
+        "    self.note.setdefault('moved', []).append(moved)\n"
+    )
+    zero, one = two_processes(arguments, tmp_path, spoiled)
+    assert zero["moved"] == one["moved"] == [True, False, True]
+    assert zero["skipped"] == one["skipped"] == 1
+    assert all(torch.equal(a, b) and a.isfinite().all() for a, b in zip(zero["net"], one["net"], strict=True))
 
 
 # --- what goes wrong -----------------------------------------------------------------------------------------------
@@ -328,6 +351,25 @@ def test_a_run_that_blows_up_ends_with_its_batch(
         assert not (np.isfinite(batch["loss"]) and np.isfinite(batch["gradient_norm"]))
         assert len(set(batch["name"].tolist())) == 4
     assert not list(tmp_path.rglob(".*.npz"))
+
+
+@pytest.mark.parametrize("preset", ["authors", "standard"])
+def test_augmented_pairs_are_learned_from(root: Path, tmp_path: Path, preset: str) -> None:
+    """With the real augmentation, backward flow included: what is trained on differs, what is validated does not."""
+    config = tmp_path / "augmented.yaml"
+    data = f"fit: native, options: {{backward: true}}, augment: {{preset: {preset}}},"
+    config.write_text(CONFIG.replace("fit: native,", data))
+    arguments = ["fit", "--config", str(config), "--data.root", str(root), "--runs", str(tmp_path)]
+    assert fit(arguments) == 0
+    plain = yaml.safe_load((tmp_path / "tiny" / "config.yaml").read_text())
+    assert plain["data"]["init_args"]["augment"] == {"preset": preset}
+    rows = rows_of(tmp_path / "tiny")
+    assert [float(row["val/epe"]) > 0 for row in rows if row["val/epe"]] == [True] * 3
+    assert all(np.isfinite(float(row["train/loss"])) for row in rows if row["train/loss"])
+    assert state_of(tmp_path / "tiny")["ajna"]["skipped"] == 0
+    model = load_checkpoint(tmp_path / "tiny" / "model.safetensors")[1]
+    assert f"augmented: preset={preset}" in str(model)
+    assert fit([*arguments, "--trainer.max_epochs", "4", "--resume", "true"]) == 0
 
 
 def test_another_training_set_does_not_resume(

@@ -213,10 +213,13 @@ def run_steps(module: FlowModule, batches: list[dict[str, Any]]) -> Any:
 def test_a_step_that_is_not_finite_is_skipped_and_counted() -> None:
     module = module_of()
     before = {name: p.clone() for name, p in module.net.named_parameters()}
+    statistics = {name: b.clone() for name, b in module.net.named_buffers()}
     run_steps(module, [batch_of(math.nan)])
     assert (module.skipped, module.steps_done) == (1, 1)
     assert all(torch.equal(p, before[name]) for name, p in module.net.named_parameters())
+    assert all(torch.equal(b, statistics[name]) for name, b in module.net.named_buffers())
     run_steps(module, [batch_of()])
+    assert any(not torch.equal(b, statistics[name]) for name, b in module.net.named_buffers())
     assert module.skipped == 1
     assert any(not torch.equal(p, before[name]) for name, p in module.net.named_parameters())
 

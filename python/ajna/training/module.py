@@ -168,6 +168,8 @@ class FlowModule(pl.LightningModule):
         rate = self.optim.lr_at(step, self.trainer.max_steps)
         for group in optimizer.param_groups:
             group["lr"] = rate
+        statistics = list(self.net.buffers())
+        before = [buffer.clone() for buffer in statistics]
         output, loss = self.forward_loss(batch, step)
         optimizer.zero_grad()
         self.manual_backward(loss)
@@ -175,6 +177,9 @@ class FlowModule(pl.LightningModule):
         if self._usable(loss.detach(), norm, batch):
             optimizer.step()
             self._average()
+        else:  # or one overflow in an activation would stay in the running statistics for good
+            for buffer, value in zip(statistics, before, strict=True):
+                buffer.copy_(value)
         self.steps_done += 1
         # Lightning counts the steps that were applied; a skipped one has had its turn, too.
         self.trainer.should_stop |= 0 < self.trainer.max_steps <= self.steps_done
