@@ -54,7 +54,7 @@ void bind_config(py::module_& m) {
       .def_readonly("printed_lam", &Preset::printed_lam)
       .def_readonly("kappa", &Preset::kappa)
       .def_readonly("note", &Preset::note)
-      .def_readonly("config", &Preset::config)
+      .def_readonly("config", &Preset::config, py::return_value_policy::copy)
       .def("__repr__", [](const Preset& preset) { return "LossPreset('" + preset.name + "')"; });
 }
 
@@ -139,7 +139,8 @@ void bind_loss(py::module_& m) {
       .def("check", &loss::check, "raw_min"_a = UncertaintyLoss::kRawMin, "raw_max"_a = UncertaintyLoss::kOwnRawMax,
            Release(), "Whether raw measures the expected error over a domain.")
       .def("describe", &UncertaintyLoss::describe)
-      .def_property_readonly("config", &UncertaintyLoss::config)
+      // A copy: to change it would change half of the loss.
+      .def_property_readonly("config", &UncertaintyLoss::config, py::return_value_policy::copy)
       .def("__repr__", [](const UncertaintyLoss& self) { return "UncertaintyLoss(" + self.describe() + ")"; });
   bind_analysis(m);
 

@@ -30,7 +30,7 @@ void bind_flow_net(py::module_& m) {
   py::class_<FlowNetImpl, std::shared_ptr<FlowNetImpl>>(m, "FlowNetCore",
                                                         "The C++ network behind ajna.nn.FlowNet; use that one.")
       .def(py::init<const NetConfig&>(), "config"_a = NetConfig{}, py::call_guard<py::gil_scoped_release>())
-      .def_property_readonly("config", &FlowNetImpl::config)
+      .def_property_readonly("config", &FlowNetImpl::config, py::return_value_policy::copy)
       .def("forward", &FlowNetImpl::forward, "x"_a, py::call_guard<py::gil_scoped_release>(),
            "[N, in_channels, H, W] float in [-1, 1] -> [N, out_channels, H, W]; any H and W.")
       .def("forward_aligned", &FlowNetImpl::forward_aligned, "x"_a, py::call_guard<py::gil_scoped_release>(),

@@ -108,7 +108,7 @@ void bind_augment(py::module_& m) {
   py::class_<AugmentPreset>(m, "AugmentPreset", "Augmentation options by name.")
       .def_readonly("name", &AugmentPreset::name)
       .def_readonly("summary", &AugmentPreset::summary)
-      .def_readonly("config", &AugmentPreset::config);
+      .def_readonly("config", &AugmentPreset::config, py::return_value_policy::copy);
   m.def("augment_presets", &synth::augment_presets, "All augmentation presets; the first has the defaults.");
   m.def("augment_preset", &synth::augment_preset, "name"_a, "The augmentation preset of that name.");
 
@@ -116,7 +116,7 @@ void bind_augment(py::module_& m) {
       .def(py::init<const AugmentConfig&>(), "config"_a = AugmentConfig{})
       .def("augment", &augment, "batch"_a, "height"_a, "width"_a, "seed"_a, py::call_guard<py::gil_scoped_release>(),
            "Augmented crops as a dict of tensors, with 'valid' always among them.")
-      .def_property_readonly("config", &Augmenter::config);
+      .def_property_readonly("config", &Augmenter::config, py::return_value_policy::copy);
 }
 
 }  // namespace
@@ -184,7 +184,7 @@ void bind_synth(py::module_& m) {
   py::class_<ScenePreset>(m, "ScenePreset", "Scene options that teach one thing, by name.")
       .def_readonly("name", &ScenePreset::name)
       .def_readonly("summary", &ScenePreset::summary)
-      .def_readonly("config", &ScenePreset::config);
+      .def_readonly("config", &ScenePreset::config, py::return_value_policy::copy);
   m.def("scene_presets", &synth::scene_presets, "All scene presets; the first has the defaults.");
   m.def("scene_preset", &synth::scene_preset, "name"_a, "The scene preset of that name.");
 
@@ -208,7 +208,7 @@ void bind_synth(py::module_& m) {
            "Scenes that share the textures and the device of another generator.")
       .def("generate", &PairGenerator::generate, "batch"_a, "height"_a, "width"_a, "seed"_a, "flow_scale"_a = 1.0,
            py::call_guard<py::gil_scoped_release>())
-      .def_property_readonly("config", &PairGenerator::config)
+      .def_property_readonly("config", &PairGenerator::config, py::return_value_policy::copy)
       .def_property_readonly(
           "textures", [](const PairGenerator& self) { return self.bank().textures(); },
           "float32 [N, 3, S, S] in [0, 1]");

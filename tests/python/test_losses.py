@@ -108,6 +108,27 @@ def test_expected_error_and_uncertainty() -> None:
         assert loss.expected_error(raw.float()).dtype == torch.float32
 
 
+@pytest.mark.filterwarnings("ignore::ajna.losses.AdmissibilityWarning")
+@pytest.mark.parametrize("name", [entry.name for entry in presets()])
+def test_nothing_asked_of_a_loss_changes_it(name: str) -> None:
+    loss = UncertaintyLoss.from_config({"preset": name})
+    prediction = torch.randn(2, 3, 2, 2, generator=torch.Generator().manual_seed(1))
+    raw, target = torch.full((2, 1, 2, 2), 0.7), torch.softmax(prediction.flip(0), 1)
+
+    def asked() -> list[Tensor]:
+        return [loss(prediction, raw, target), loss.expected_error(raw), loss.uncertainty(raw)]
+
+    text, before = loss.describe(), asked()
+    loss.error(prediction, target)
+    loss.config.lam = 17.0
+    loss.config.f.name = "l2"
+    assert loss.describe() == text
+    assert all(torch.equal(a, b) for a, b in zip(before, asked(), strict=True))
+    entry = next(entry for entry in presets() if entry.name == name)
+    entry.config.lam = 17.0
+    assert entry.config.lam != 17.0
+
+
 def test_training_a_raw_head_finds_the_expected_error() -> None:
     """The meaning of raw, end to end: minimising the loss makes expected_error the mean error."""
     errors = torch.tensor([0.2, 1.0, 4.0]).view(1, 3, 1, 1) * torch.ones(1, 3, 20, 20)
