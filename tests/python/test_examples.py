@@ -16,7 +16,7 @@ pytest.importorskip("torchmetrics", reason="needs the eval extra")
 
 from ajna.examples import depth, disparity, harness, normals, scenes, segmentation
 
-STEPS = 40
+STEPS = 100
 EXAMPLES = [depth.Depth, disparity.Disparity, normals.Normals, segmentation.Segmentation]
 examples = pytest.mark.parametrize("kind", EXAMPLES, ids=lambda kind: kind.name)
 
@@ -71,8 +71,8 @@ def test_learns_and_is_uncertain_in_the_right_places(kind: type[harness.Example]
     _, start = harness.run(example, 1, seed=0, scenes=8)
     assert report.error < 0.9 * float(start.error.mean())
     assert found.expected.isfinite().all() and (found.expected > 0).all()
-    if kind in (normals.Normals, segmentation.Segmentation):  # the others need more steps than a test has
-        for region in report.regions:
+    for region in report.regions:
+        if kind is not depth.Depth:  # one image tells little of depth: it takes the program's 500 steps
             assert region.auc > 0.55, report.text()
     picture = harness.draw(example, found, scenes=2)
     assert picture.dtype == np.uint8 and picture.std() > 10

@@ -26,10 +26,10 @@ class Disparity:
 
     name = "disparity"
     unit = "px"
-    inputs, outputs = 3 + _CANDIDATES, 1
+    inputs, outputs = 3 + _CANDIDATES, _CANDIDATES
     height, width = 64, 80
     focal_px, base_m = 80.0, 0.4
-    options = scenes.SceneOptions(texture=0.6, frequency=40.0, plain_share=0.4)
+    options = scenes.SceneOptions(texture=0.6, frequency=15.0, plain_share=0.4, floor_spread=0.3)
 
     def __init__(self) -> None:
         self.loss = preset("yuan2021")
@@ -71,7 +71,8 @@ class Disparity:
         return ~inside | (seen < 0.93 * left.depth)
 
     def prediction(self, output: Tensor) -> Tensor:
-        return output + 8.0
+        # The mean over the candidates, which the network gives a score each (Kendall et al., 2017: GC-Net).
+        return (output.softmax(1) * torch.arange(_CANDIDATES)[:, None, None]).sum(1, keepdim=True)
 
     def baseline(self, batch: Batch) -> Tensor:
         return (batch.target - batch.target.median()).abs()

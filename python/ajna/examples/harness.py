@@ -220,7 +220,7 @@ def run(example: Example, steps: int, seed: int, scenes: int = 32) -> tuple[Repo
     return measure(example, found, steps, seconds), found
 
 
-def main(example: Example, argv: list[str] | None = None, steps: int = 250) -> int:
+def main(example: Example, argv: list[str] | None = None, steps: int = 500) -> int:
     """The command line of an example: train, print the report, write a picture; exit code 1 where a claim fails."""
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Generated scenes with everything known about them: spheres and boxes before a floor and a slanted wall, ray-cast.
 
-Camera frame: x right, y down, z forward, metres; the floor lies 1 m below the camera. Depth is the z coordinate.
+Camera frame: x right, y down, z forward, metres; the floor lies about 1 m below the camera. Depth is the z coordinate.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ class SceneOptions:
     frequency: float = 12.0  # of the pattern, radians per metre
     plain_share: float = 0.0  # of the surfaces have no pattern
     light_spread: float = 0.4  # how much the light's direction varies
+    floor_spread: float = 0.0  # how much the floor's height (metres) and slopes vary
 
     @property
     def surfaces(self) -> int:
@@ -38,7 +39,8 @@ class Scenes:
     """N random scenes; all tensors start with [N, S] for the S surfaces of SceneOptions."""
 
     options: SceneOptions
-    wall: Tensor  # [N, 4]: unit normal and offset, normal . X = offset
+    floor: Tensor  # [N, 4]: unit normal and offset, normal . X = offset
+    wall: Tensor  # [N, 4], likewise
     centre: Tensor  # [N, S, 3] of spheres and boxes
     size: Tensor  # [N, S, 3]: half extents; a sphere's first entry is its radius
     turn: Tensor  # [N, S, 3, 3]: rotation from camera to a box's own axes
@@ -75,6 +77,10 @@ def random_scenes(count: int, generator: torch.Generator, options: SceneOptions 
     wall_normal = torch.stack([yaw.sin(), torch.zeros(n), -yaw.cos()], 1)
     ahead = between(5.0, 8.0, n, 1)  # metres to the wall, along the camera's axis
     wall = torch.cat([wall_normal, wall_normal[:, 2:] * ahead], 1)
+    tilt = options.floor_spread * between(-0.5, 0.5, n, 2)
+    floor_normal = functional.normalize(torch.stack([tilt[:, 0], -torch.ones(n), tilt[:, 1]], 1), dim=1)
+    below = 1.0 + options.floor_spread * between(-1.0, 1.0, n, 1)
+    floor = torch.cat([floor_normal, floor_normal[:, 1:2] * below], 1)
     size = between(0.25, 0.75, n, s, 3)
     distance = between(2.2, 5.5, n, s)
     # Spread over the image: sideways positions grow with distance. Some rest on the floor, some float.
@@ -87,6 +93,7 @@ def random_scenes(count: int, generator: torch.Generator, options: SceneOptions 
     plain = torch.rand(n, s, generator=generator) < options.plain_share
     return Scenes(
         options=options,
+        floor=floor,
         wall=wall,
         centre=centre,
         size=size,
@@ -132,7 +139,7 @@ def _cast(scenes: Scenes, origin: Tensor, rays: Tensor) -> tuple[Tensor, Tensor]
         return t[:, None], normal[:, None, None].expand(n, 1, r, 3)
 
     found = [
-        plane(torch.tensor([0.0, -1.0, 0.0]).expand(n, 3), torch.full((n,), -1.0)),
+        plane(scenes.floor[:, :3], scenes.floor[:, 3]),
         plane(scenes.wall[:, :3], scenes.wall[:, 3]),
     ]
 

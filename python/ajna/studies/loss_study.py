@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from ajna import _core
 from ajna.losses import UncertaintyLoss, preset, presets
 from ajna.studies import regression
-from ajna.studies.regression import NOISES, Task
+from ajna.studies.regression import NOISES, Stratified, Task
 
 #: What must hold on the grid of x for every admissible preset and every noise.
 MIN_RHO = 0.95
@@ -42,15 +42,16 @@ class StudyOptions:
     noises: list[str] = field(default_factory=lambda: list(NOISES))
     seed: int = 0
     steps: int = 2500
-    batch: int = 192
-    hidden: int = 16
+    batch: int = 96  # places of x per step
+    samples: int = 16  # noise samples at each of them, spread over the distribution
+    hidden: int = 24
     lr: float = 0.02
     averaged: float = 0.35  # the last part of the steps, over which the weights are averaged
     grid: int = 41  # points of x
-    draws: int = 30_000  # noise samples per point that E[f] is measured with
+    draws: int = 60_000  # noise samples per point that E[f] is measured with
 
     def __post_init__(self) -> None:
-        for name in ("steps", "batch", "hidden", "draws"):
+        for name in ("steps", "batch", "samples", "hidden", "draws"):
             if getattr(self, name) < 1:
                 raise ValueError(f"study option {name} = {getattr(self, name)}: give at least 1")
         if self.grid < 3:
@@ -153,13 +154,14 @@ def _train(options: StudyOptions, losses: list[UncertaintyLoss], tasks: list[Tas
     optimizer = torch.optim.Adam(networks.parameters(), lr=options.lr)
     schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: _learning_rate(step, options))
     average = torch.optim.swa_utils.AveragedModel(networks)
+    sources = [Stratified(NOISES[name], generator) for name in options.noises]
     strata = torch.arange(options.batch) / options.batch
     for step in range(options.steps):
         # Evenly spread x with a random offset, and new noise in every step: there is no training set to overfit.
         x = TRAINED_X * (2.0 * (strata + torch.rand((), generator=generator) / options.batch) - 1.0)
-        noise = torch.stack([NOISES[name]((options.batch,), generator) for name in options.noises])
-        spread, centre = regression.scale(x) * noise, regression.mean(x)
-        prediction, raw = networks(x)
+        noise = torch.stack([source((options.batch, options.samples), generator) for source in sources])
+        spread, centre = regression.scale(x)[:, None] * noise, regression.mean(x)[:, None]
+        prediction, raw = (out[..., None].expand(-1, -1, options.samples) for out in networks(x))
         total = torch.zeros(())
         for index, (loss, task) in enumerate(zip(losses, tasks, strict=True)):
             rows = slice(index * kinds, (index + 1) * kinds)
