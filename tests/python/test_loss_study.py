@@ -28,9 +28,7 @@ def one_thread() -> object:
 @pytest.fixture(scope="module")
 def small() -> report.Study:
     """Two presets under two kinds of noise, and the printed forms under one."""
-    options = StudyOptions(
-        presets=["ajna2023", "poggi2020"], noises=["gaussian", "skewed"], steps=800, draws=20_000
-    )
+    options = StudyOptions(presets=["ajna2023", "poggi2020"], noises=["gaussian", "skewed"], steps=800, draws=20_000)
     forms = printed_forms.PrintedOptions(noises=["gaussian"], scales=6, steps=500, lr=0.08, draws=5000)
     return report.Study(loss_study.run(options), printed_forms.run(forms), 0, options.steps, 1.0)
 
