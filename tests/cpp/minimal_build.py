@@ -37,7 +37,9 @@ def main(source: Path, build: Path) -> None:
     subprocess.run(configure, check=True)
 
     commands = json.loads((build / "compile_commands.json").read_text())
-    libraries = {Path(entry["file"]).parent.name for entry in commands}
+    # Of a source or, where several are compiled together, of the file that includes them in the build folder.
+    folders = [re.search(r"/cpp/(?:ajna/)?(\w+)/", entry["file"].removeprefix(str(source))) for entry in commands]
+    libraries = {found[1] for found in folders if found}
     missing = {"base", "nn", "loss", "synth", "engine", "bindings"} - libraries
     if missing:
         sys.exit(f"AJNA_WITH_VISION=OFF does not build {sorted(missing)}")
