@@ -54,6 +54,7 @@ test: apt-test $(STAMP)/package-test
 	@sh tools/test.sh $(BUILD) $(PY)
 
 lint: apt-test $(STAMP)/package-lint
+	@$(CONFIGURE) > $(BUILD)/configure.log || (cat $(BUILD)/configure.log; false)
 	@sh tools/apt.sh $(APT_LINT)
 	@sh tools/lint.sh $(BUILD) $(VENV)/bin
 
