@@ -94,7 +94,7 @@ void read_mavlink(YamlSection section, FlightConfig& config) {
   if (config.link.max_override_s < 0.2 || config.link.max_override_s > 10.0) {
     section.refuse("max_override_s", "give 0.2 to 10");
   }
-  flight::MavlinkCodec(config.link.ids);  // throws for ids out of range
+  const flight::MavlinkCodec checked(config.link.ids);  // throws for ids out of range
   section.finish();
 }
 

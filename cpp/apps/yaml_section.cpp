@@ -21,8 +21,8 @@ YamlSection YamlSection::parse(const std::string& text, const std::string& name)
   return {node, "", name};
 }
 
-YamlSection::YamlSection(YAML::Node node, std::string path, std::string file)
-    : node_(std::move(node)), path_(std::move(path)), file_(std::move(file)) {
+YamlSection::YamlSection(const YAML::Node& node, std::string path, std::string file)
+    : node_(node), path_(std::move(path)), file_(std::move(file)) {
   if (!node_.IsDefined() || node_.IsNull()) {
     node_ = YAML::Node(YAML::NodeType::Map);
   }
@@ -81,7 +81,7 @@ YamlSection YamlSection::section(const std::string& key) {
   if (has(key) && !node.IsMap() && !node.IsNull()) {
     refuse(key, "it must be a mapping of keys to values");
   }
-  return {std::move(node), path_ + key + ".", file_};
+  return {node, path_ + key + ".", file_};
 }
 
 std::string YamlSection::scalar(const std::string& key, const YAML::Node& node) const {

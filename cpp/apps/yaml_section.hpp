@@ -34,7 +34,7 @@ class YamlSection {
   [[noreturn]] void refuse(const std::string& key, const std::string& what) const;
 
  private:
-  YamlSection(YAML::Node node, std::string path, std::string file);
+  YamlSection(const YAML::Node& node, std::string path, std::string file);
   [[nodiscard]] std::string place(const std::string& key) const;
   YAML::Node find(const std::string& key);
   std::string scalar(const std::string& key, const YAML::Node& node) const;
