@@ -26,6 +26,6 @@ install(FILES ${PROJECT_BINARY_DIR}/ajna-config.cmake ${PROJECT_BINARY_DIR}/ajna
         DESTINATION ${ajna_cmake_dir} COMPONENT dev)
 
 # Installed programs find LibTorch where it was linked.
-if(TARGET ajna_flight)
-  set_target_properties(ajna_flight PROPERTIES INSTALL_RPATH_USE_LINK_PATH ON)
+if(TARGET ajna_flight_program)
+  set_target_properties(ajna_flight_program PROPERTIES INSTALL_RPATH_USE_LINK_PATH ON)
 endif()

@@ -26,6 +26,7 @@ COMMANDS = (
     "video",
     "task",
     "sim",
+    "replay",
     "evaluate",
     "calibrate",
     "export",

@@ -33,9 +33,10 @@ TABLE: dict[str, tuple[set[str], set[str], tuple[str, ...]]] = {
     "engine": ({"base"}, {"nn"}, TORCH),
     "io": ({"base"}, set(), OPENCV),
     "tasks": ({"base", "geometry"}, set(), OPENCV + EIGEN),
-    "flight": ({"base", "geometry", "io", "engine", "tasks", "control"}, set(), ("spdlog/", "mavlink/")),
+    "flight": ({"base", "geometry", "io", "engine", "tasks", "control"}, set(), (*EIGEN, "mavlink/")),
 }
 POSIX = {"dirent.h", "fcntl.h", "sys/stat.h", "sys/types.h", "unistd.h"}
+POSIX |= {"netdb.h", "netinet/in.h", "netinet/tcp.h", "poll.h", "sched.h", "sys/inotify.h", "sys/socket.h", "termios.h"}
 
 SOURCES = sorted([*CPP.rglob("*.hpp"), *CPP.rglob("*.cpp")])
 HEADERS = [path for path in SOURCES if path.suffix == ".hpp" and path.is_relative_to(CPP / "ajna")]

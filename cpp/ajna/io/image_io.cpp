@@ -77,4 +77,18 @@ void write_image(const std::filesystem::path& path, const ImageView& image) {
   write_file_atomically(path, bytes.data(), bytes.size());
 }
 
+Image resize_image(const ImageView& image, int width, int height) {
+  if (image.empty() || image.channels != 3 || width < 1 || height < 1) {
+    throw_invalid("cannot resize an image of " + std::to_string(image.width) + "x" + std::to_string(image.height) +
+                  " to " + std::to_string(width) + "x" + std::to_string(height) + ": give a non-empty RGB image and " +
+                  "sides of at least 1");
+  }
+  const cv::Mat from(image.height, image.width, CV_8UC3, const_cast<std::uint8_t*>(image.data),
+                     static_cast<std::size_t>(image.row_stride));
+  Image result(width, height);
+  cv::Mat to(height, width, CV_8UC3, result.data());
+  cv::resize(from, to, to.size(), 0, 0, cv::INTER_AREA);
+  return result;
+}
+
 }  // namespace ajna::io

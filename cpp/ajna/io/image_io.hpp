@@ -18,4 +18,8 @@ Image read_image(const std::filesystem::path& path);
 /// where the system refuses to write.
 void write_image(const std::filesystem::path& path, const ImageView& image);
 
+/// Another size; each new pixel is the mean of those that fall into it, as the training data were scaled. A view of the
+/// wanted size is copied. Throws Error(kInvalidArgument) for an empty image, channels other than 3 and sides below 1.
+Image resize_image(const ImageView& image, int width, int height);
+
 }  // namespace ajna::io

@@ -185,7 +185,21 @@ bool is_image_name(const fs::path& path) {
   return std::find(kExtensions.begin(), kExtensions.end(), extension) != kExtensions.end();
 }
 
-cv::VideoCapture open_camera(const std::string& source) {
+cv::VideoCapture open_pipeline(const std::string& source) {
+  const std::string pipeline = source.substr(std::string_view(kGStreamerPrefix).size());
+  const QuietOpenCv quiet;
+  try {
+    cv::VideoCapture capture;
+    if (capture.open(pipeline, cv::CAP_GSTREAMER)) {
+      return capture;
+    }
+  } catch (const cv::Exception&) {  // reported below
+  }
+  throw_runtime("GStreamer pipeline '" + pipeline +
+                "' cannot be opened: try it with gst-launch-1.0, and let it end in 'videoconvert ! appsink drop=true'");
+}
+
+cv::VideoCapture open_camera(const std::string& source, std::optional<double> fps, const CameraOptions& wanted) {
   int index = 0;
   const auto [end, error] = std::from_chars(source.data(), source.data() + source.size(), index);
   if (error != std::errc{} || end != source.data() + source.size() || index > 999) {
@@ -195,6 +209,15 @@ cv::VideoCapture open_camera(const std::string& source) {
   try {
     cv::VideoCapture capture;
     if (capture.open(index, cv::CAP_V4L2) || capture.open(index, cv::CAP_ANY)) {
+      if (wanted.width > 0 && wanted.height > 0) {
+        capture.set(cv::CAP_PROP_FRAME_WIDTH, wanted.width);
+        capture.set(cv::CAP_PROP_FRAME_HEIGHT, wanted.height);
+      }
+      if (fps) {
+        capture.set(cv::CAP_PROP_FPS, *fps);
+      }
+      // A driver's queue of old frames is the last thing wanted; not every backend lets it be shortened.
+      capture.set(cv::CAP_PROP_BUFFERSIZE, 1);
       return capture;
     }
   } catch (const cv::Exception&) {  // reported below
@@ -219,15 +242,18 @@ cv::VideoCapture open_file(const fs::path& path) {
                 "' is not a readable video: give a video file, a folder of images or a camera index");
 }
 
-std::unique_ptr<VideoSource::Impl> open_source(const std::string& source, std::optional<double> fps) {
+std::unique_ptr<VideoSource::Impl> open_source(const std::string& source, std::optional<double> fps,
+                                               const CameraOptions& wanted) {
   if (fps && !(*fps > 0 && *fps <= 1e6)) {
     throw_invalid("fps " + std::to_string(*fps) + " is out of range: give more than 0 and at most 1e6");
   }
   if (source.empty()) {
     throw_invalid("video source '' is empty: give a folder of images, a video file or a camera index");
   }
-  if (is_index(source)) {
-    auto camera = std::make_unique<CaptureSource>(open_camera(source), fps, true);
+  const bool is_pipeline = source.rfind(kGStreamerPrefix, 0) == 0;
+  if (is_pipeline || is_index(source)) {
+    auto camera = std::make_unique<CaptureSource>(
+        is_pipeline ? open_pipeline(source) : open_camera(source, fps, wanted), fps, true);
     if (!camera->open("camera " + source)) {
       throw_runtime("camera " + source + " delivers no frame: check that it is not in use");
     }
@@ -259,7 +285,8 @@ std::unique_ptr<VideoSource::Impl> open_source(const std::string& source, std::o
 
 }  // namespace
 
-VideoSource::VideoSource(const std::string& source, std::optional<double> fps) : impl_(open_source(source, fps)) {}
+VideoSource::VideoSource(const std::string& source, std::optional<double> fps, const CameraOptions& camera)
+    : impl_(open_source(source, fps, camera)) {}
 VideoSource::~VideoSource() = default;
 VideoSource::VideoSource(VideoSource&&) noexcept = default;
 VideoSource& VideoSource::operator=(VideoSource&&) noexcept = default;

@@ -21,6 +21,15 @@ struct Frame {
   std::string name;          ///< file name for folders, "frame 12" otherwise
 };
 
+/// What is asked of a camera; it may deliver another size. 0: its own.
+struct CameraOptions {
+  int width = 0;   ///< pixels
+  int height = 0;  ///< pixels
+};
+
+/// Before the description of a GStreamer pipeline that ends in an appsink: "gst:v4l2src ! videoconvert ! appsink".
+constexpr const char* kGStreamerPrefix = "gst:";
+
 /// Frames from a folder of images, a video file or a camera, behind one interface.
 ///
 /// The first frame is decoded on opening, so that an unreadable source fails there and the size is known. All frames
@@ -28,11 +37,13 @@ struct Frame {
 class VideoSource {
  public:
   /// `source`: a folder (its PNG, JPEG, BMP, PPM, PGM files in natural order: 2 before 10; hidden files and others are
-  /// passed over), a video file, or a camera index ("0"; write "./0" for a folder of that name).
-  /// `fps`: overrides the rate that time stamps of folders (30 otherwise) and of files without time stamps follow.
-  /// Throws Error: kFileNotFound; kInvalidArgument for an empty folder, a file that is no video, fps not in (0, 1e6];
-  /// kRuntime for a camera that does not open.
-  explicit VideoSource(const std::string& source, std::optional<double> fps = std::nullopt);
+  /// passed over), a video file, a camera index ("0"; write "./0" for a folder of that name) or a GStreamer pipeline
+  /// after kGStreamerPrefix, which counts as a camera.
+  /// `fps`: overrides the rate that time stamps of folders (30 otherwise) and of files without time stamps follow;
+  /// asked of cameras. Throws Error: kFileNotFound; kInvalidArgument for an empty folder, a file that is no video, fps
+  /// not in (0, 1e6]; kRuntime for a camera that does not open.
+  explicit VideoSource(const std::string& source, std::optional<double> fps = std::nullopt,
+                       const CameraOptions& camera = {});
   ~VideoSource();
   VideoSource(VideoSource&&) noexcept;
   VideoSource& operator=(VideoSource&&) noexcept;

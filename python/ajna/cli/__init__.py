@@ -21,6 +21,7 @@ from ajna.cli.export import export
 from ajna.cli.info import info
 from ajna.cli.losses import losses
 from ajna.cli.predict import predict
+from ajna.cli.replay import replay
 from ajna.cli.sim import add_benchmarks, sim
 from ajna.cli.study import study
 from ajna.cli.synth import app as synth_app
@@ -35,7 +36,7 @@ app = typer.Typer(
     help="Optical flow and its per-pixel uncertainty in one pass.",
     epilog="Example: ajna predict frame1.png frame2.png --out result",
 )
-for _command in (predict, video, task, sim, evaluate, calibrate, export, info, losses):
+for _command in (predict, video, task, sim, replay, evaluate, calibrate, export, info, losses):
     app.command()(_command)
 add_benchmarks(bench)
 app.add_typer(bench, name="bench")

@@ -1,0 +1,219 @@
+// SPDX-License-Identifier: MIT
+#include "apps/fly.hpp"
+
+#include <spdlog/spdlog.h>
+
+#include <array>
+#include <csignal>
+#include <cstdlib>
+#include <ctime>
+#include <filesystem>
+#include <memory>
+#include <opencv2/core/utility.hpp>
+#include <utility>
+
+#include "ajna/base/error.hpp"
+#include "ajna/base/version.hpp"
+#include "ajna/engine/flow_engine.hpp"
+#include "ajna/flight/emergency.hpp"
+#include "ajna/flight/json_line.hpp"
+#include "ajna/flight/self_test.hpp"
+#include "apps/flight_config.hpp"
+
+namespace ajna::apps {
+namespace {
+
+constexpr double kWatchEvery_s = 0.02;
+constexpr double kJoin_s = 2.0;
+constexpr std::array kEndSignals = {SIGTERM, SIGINT, SIGHUP};
+constexpr std::array kFatalSignals = {SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT};
+
+/// A crash still gives the vehicle back; then it is a crash like any other.
+extern "C" void on_fatal_signal(int number) {
+  flight::EmergencyRelease::fire();
+  ::signal(number, SIG_DFL);
+  ::raise(number);
+}
+
+/// From here on the main thread alone hears of signals, by waiting for them.
+sigset_t take_signals() {
+  for (const int number : kFatalSignals) {
+    struct sigaction action {};
+    action.sa_handler = on_fatal_signal;
+    sigemptyset(&action.sa_mask);
+    ::sigaction(number, &action, nullptr);
+  }
+  ::signal(SIGPIPE, SIG_IGN);
+  ::signal(SIGXFSZ, SIG_IGN);  // a log that may not grow is an error code, no end
+  sigset_t ends;
+  sigemptyset(&ends);
+  for (const int number : kEndSignals) {
+    sigaddset(&ends, number);
+  }
+  ::pthread_sigmask(SIG_BLOCK, &ends, nullptr);
+  return ends;
+}
+
+void say(flight::Level level, const std::string& text) {
+  switch (level) {
+    case flight::Level::kInfo:
+      spdlog::info("{}", text);
+      break;
+    case flight::Level::kWarning:
+      spdlog::warn("{}", text);
+      break;
+    case flight::Level::kError:
+      spdlog::error("{}", text);
+      break;
+  }
+}
+
+/// Watch the flight until it has ended: signals end it, and a control loop that stands still is released from here.
+void watch(flight::FlightLoop& loop, const sigset_t& ends, double max_tick_s) {
+  const timespec wait{0, static_cast<long>(kWatchEvery_s * 1e9)};
+  bool late = false;
+  while (!loop.finished()) {
+    const int number = ::sigtimedwait(&ends, nullptr, &wait);
+    if (number > 0) {
+      loop.request_stop();
+      spdlog::warn("signal {}: ending", number);
+    }
+    const double age_s = flight::monotonic_s() - loop.last_tick_s();
+    if (age_s > max_tick_s) {
+      flight::EmergencyRelease::fire();
+      if (!std::exchange(late, true)) {
+        spdlog::error("the control loop has stood still for {:.0f} ms: released from outside", age_s * 1e3);
+      }
+    } else {
+      late = false;
+    }
+  }
+}
+
+void check_files(const FlightConfig& config) {
+  if (!std::filesystem::is_regular_file(config.model_path)) {
+    throw_not_found(config.model_path, "give an existing model file as model.path");
+  }
+  if (!config.signing_key_file.empty()) {
+    load_signing_key(config.signing_key_file);
+  }
+}
+
+void log_start(flight::FlightLog& log, const FlightConfig& config, const engine::ModelInfo& info, bool dry_run) {
+  // The wall clock only names the flight; nothing is measured with it.
+  std::array<char, 32> date{};
+  const std::time_t now = std::time(nullptr);
+  std::tm utc{};
+  ::gmtime_r(&now, &utc);
+  std::strftime(date.data(), date.size(), "%Y-%m-%dT%H:%M:%SZ", &utc);
+  log.write(flight::JsonLine()
+                .add("type", "start")
+                .add("time_s", 0.0)
+                .add("version", kVersion)
+                .add("date", date.data())
+                .add("dry_run", dry_run)
+                .add("model", info.name)
+                .add("model_path", info.path)
+                .add("precision", info.precision)
+                .add("task", flight::to_string(config.pilot.task))
+                .add("source", flight::to_string(config.source.kind))
+                .add("endpoint", config.endpoint_text)
+                .add("output", flight::to_string(config.output))
+                .add("width_px", config.loop.width)
+                .add("height_px", config.loop.height)
+                .add("frame_every", config.log.frame_every)
+                .str());
+}
+
+void report_end(flight::FlightLog& log, const flight::LoopStatistics& s) {
+  const auto& latency = s.capture_to_command;
+  spdlog::info(
+      "{} frames ({} dropped, {} stale, {} damaged), {} network failures; {} activations, {} commands and {} releases "
+      "sent; capture to command: median {:.0f} ms, p95 {:.0f} ms, p99 {:.0f} ms, max {:.0f} ms",
+      s.frames, s.dropped, s.stale, s.damaged, s.network_failures, s.activations, s.commands_sent, s.releases_sent,
+      latency.quantile_ms(0.5), latency.quantile_ms(0.95), latency.quantile_ms(0.99), latency.max_ms());
+  log.write(flight::JsonLine()
+                .add("type", "end")
+                .add("frames", s.frames)
+                .add("dropped", s.dropped)
+                .add("stale", s.stale)
+                .add("damaged", s.damaged)
+                .add("network_failures", s.network_failures)
+                .add("activations", s.activations)
+                .add("commands_sent", s.commands_sent)
+                .add("releases_sent", s.releases_sent)
+                .add("latency_p50_ms", latency.quantile_ms(0.5))
+                .add("latency_p95_ms", latency.quantile_ms(0.95))
+                .add("latency_p99_ms", latency.quantile_ms(0.99))
+                .add("latency_max_ms", latency.max_ms())
+                .add("lost_lines", log.lost())
+                .str());
+}
+
+}  // namespace
+
+void check_config(const std::string& path) { check_files(load_config(path)); }
+
+int fly(const std::string& config_path, bool dry_run) {
+  FlightConfig config = load_config(config_path);
+  check_files(config);
+  config.loop.dry_run = dry_run;
+  config.link.listen_only = dry_run;
+  const sigset_t ends = take_signals();
+
+  auto engine = std::make_shared<engine::FlowEngine>(engine::FlowEngine::load(config.model_path, config.engine));
+  const auto& info = engine->info();
+  cv::setNumThreads(std::max(config.engine.threads, 1));
+  spdlog::info("model {} ({}, {} parameters, {} on {})", info.name, info.format, info.parameters, info.precision,
+               info.device);
+  const flight::InferFunction infer = [engine](const ImageView& a, const ImageView& b, FlowField& field,
+                                               double time_s) { engine->infer_into(a, b, field, time_s); };
+  engine->warm_up(config.loop.width, config.loop.height);
+  flight::test_model(infer, config.loop.width, config.loop.height);
+  spdlog::info("model self-test at {}x{}: passed", config.loop.width, config.loop.height);
+
+  auto log = std::make_unique<flight::FlightLog>(config.log);
+  if (!config.log.folder.empty()) {
+    spdlog::info("log: {}", log->path().string());
+  }
+  log_start(*log, config, info, dry_run);
+
+  flight::LoopParts parts;
+  // The first opening here, so that a wrong source is a wrong configuration; later ones in flight.
+  auto first = std::make_shared<std::unique_ptr<flight::FrameSource>>(flight::open_source(config.source));
+  parts.open_source = [first, options = config.source] {
+    return *first ? std::move(*first) : flight::open_source(options);
+  };
+  parts.source_ends =
+      config.source.kind == flight::SourceKind::kFolder || config.source.kind == flight::SourceKind::kVideo;
+  parts.infer = infer;
+  parts.pilot = flight::make_pilot(config.pilot);
+  parts.link = std::make_unique<flight::Link>(
+      flight::make_transport(config.endpoint), config.link, config.output,
+      config.signing_key_file.empty() ? std::nullopt : std::optional(load_signing_key(config.signing_key_file)));
+  parts.output = config.output == flight::OutputKind::kRcOverride ? flight::make_rc_output(config.rc)
+                                                                  : flight::make_attitude_output(config.attitude);
+  parts.log = log.get();
+  parts.say = say;
+  auto loop = std::make_unique<flight::FlightLoop>(config.loop, std::move(parts));
+  if (dry_run) {
+    spdlog::warn("dry run: nothing will be sent");
+  }
+  loop->start();
+  watch(*loop, ends, config.loop.safety.max_tick_s);
+
+  const bool joined = loop->join(kJoin_s);
+  report_end(*log, loop->statistics());
+  if (log->failed()) {
+    spdlog::warn("the log is incomplete: {} lines or frames could not be written (disk full?)", log->lost());
+  }
+  log->close();
+  spdlog::shutdown();
+  if (!joined) {
+    // A driver or the network still holds a thread: nothing is left to be done for the vehicle, so go without it.
+    std::_Exit(EXIT_SUCCESS);
+  }
+  return EXIT_SUCCESS;
+}
+
+}  // namespace ajna::apps

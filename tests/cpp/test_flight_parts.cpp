@@ -1,0 +1,224 @@
+// SPDX-License-Identifier: MIT
+// Logs, histograms, sources, the model's self-test, the emergency release.
+#include <gtest/gtest.h>
+#include <sys/resource.h>
+#include <unistd.h>
+
+#include <array>
+#include <cmath>
+#include <csignal>
+#include <filesystem>
+#include <fstream>
+#include <limits>
+#include <string>
+#include <vector>
+
+#include "ajna/base/error.hpp"
+#include "ajna/flight/emergency.hpp"
+#include "ajna/flight/flight_log.hpp"
+#include "ajna/flight/json_line.hpp"
+#include "ajna/flight/latency.hpp"
+#include "ajna/flight/rate_history.hpp"
+#include "ajna/flight/self_test.hpp"
+#include "ajna/flight/source.hpp"
+#include "ajna/io/image_io.hpp"
+#include "io_files.hpp"
+
+namespace ajna::flight {
+namespace {
+
+namespace fs = std::filesystem;
+
+TEST(FlightLog, ADiskThatRefusesMoreIsCountedAndNothingElse) {
+  const io::testing::TempFolder temp;
+  LogOptions options;
+  options.folder = temp.path().string();
+  // The system refuses to let any file grow beyond this, as a full disk would.
+  rlimit before{};
+  ASSERT_EQ(::getrlimit(RLIMIT_FSIZE, &before), 0);
+  const rlimit small{1000, before.rlim_max};
+  const auto handler = std::signal(SIGXFSZ, SIG_IGN);
+  ASSERT_EQ(::setrlimit(RLIMIT_FSIZE, &small), 0);
+  FlightLog log(options);
+  for (int i = 0; i < 1000; ++i) {
+    log.write(std::string(50, 'x'));
+  }
+  log.close();
+  ::setrlimit(RLIMIT_FSIZE, &before);
+  std::signal(SIGXFSZ, handler);
+  EXPECT_TRUE(log.failed());
+  EXPECT_GT(log.lost(), 900U);
+  EXPECT_LE(fs::file_size(log.path()), 1000U);
+}
+
+TEST(FlightLog, ALimitEndsTheLogNotTheFlight) {
+  LogOptions options;
+  const io::testing::TempFolder temp;
+  options.folder = temp.path().string();
+  options.max_bytes = 1000;
+  FlightLog log(options);
+  for (int i = 0; i < 1000; ++i) {
+    log.write(std::string(50, 'x'));
+  }
+  log.close();
+  EXPECT_LE(fs::file_size(log.path()), 1100U);
+  EXPECT_GT(log.lost(), 900U);
+}
+
+TEST(FlightLog, AFolderThatCannotBeMadeIsAnError) {
+  LogOptions options;
+  options.folder = "/proc/ajna";
+  EXPECT_THROW(FlightLog{options}, Error);
+}
+
+TEST(JsonLine, EscapesAndHasNoNaN) {
+  EXPECT_EQ(JsonLine().add("a", 1.5).add("b", "x\"\\\n\x80").add("c", std::nan("")).add("d", true).add("e", -3).str(),
+            "{\"a\": 1.5, \"b\": \"x\\\"\\\\\\u000a\\u0080\", \"c\": null, \"d\": true, \"e\": -3}");
+  EXPECT_EQ(JsonLine().add("v", std::vector<double>{1, 2.25}).add_null("n").str(), "{\"v\": [1, 2.25], \"n\": null}");
+}
+
+TEST(Latency, QuantilesAreUpperBinEdges) {
+  LatencyHistogram histogram;
+  EXPECT_EQ(histogram.quantile_ms(0.5), 0.0);
+  for (int i = 0; i < 100; ++i) {
+    histogram.add(1e-3 * i + 0.5e-3);
+  }
+  EXPECT_DOUBLE_EQ(histogram.quantile_ms(0.5), 50.0);
+  EXPECT_DOUBLE_EQ(histogram.quantile_ms(0.99), 99.0);
+  histogram.add(12.0);
+  histogram.add(std::nan(""));
+  EXPECT_EQ(histogram.count(), 101U);
+  EXPECT_DOUBLE_EQ(histogram.quantile_ms(1.0), 12000.0);
+}
+
+TEST(RateHistory, MeansOverTheInterval) {
+  RateHistory history;
+  EXPECT_FALSE(history.mean(0.0, 1.0).has_value());
+  history.add({{1.0, {1, 0, 0}}, {1.02, {2, 0, 0}}, {1.04, {3, 0, 0}}});
+  EXPECT_NEAR(history.mean(1.01, 1.05)->x(), 2.5, 1e-12);
+  EXPECT_NEAR(history.mean(1.05, 1.06)->x(), 3.0, 1e-12);
+  EXPECT_FALSE(history.mean(1.5, 1.6).has_value());
+  EXPECT_EQ(optical_from_body({1, 2, 3}), Eigen::Vector3d(2, 3, 1));
+}
+
+FlowField field_of(const ImageView& frame, float flow, float uncertainty) {
+  FlowField field;
+  field.width = frame.width;
+  field.height = frame.height;
+  const auto size = static_cast<std::size_t>(frame.width) * static_cast<std::size_t>(frame.height) * 2;
+  field.flow.assign(size, flow);
+  field.uncertainty.assign(size, uncertainty);
+  field.expected_error.assign(size, 0.1F);
+  return field;
+}
+
+TEST(SelfTest, RefusesWhatIsNoNetwork) {
+  const auto varied = [](const ImageView& frame1, const ImageView& frame2) {
+    FlowField field = field_of(frame1, 0.0F, 0.0F);
+    for (std::size_t i = 0; i < field.flow.size(); ++i) {
+      const auto difference = static_cast<float>(frame2.data[i]) - static_cast<float>(frame1.data[i]);
+      field.flow[i] = 0.01F * difference;
+      field.uncertainty[i] = 0.01F * std::abs(difference);
+    }
+    return field;
+  };
+  EXPECT_NO_THROW(test_model([&](auto& a, auto& b, FlowField& f, double) { f = varied(a, b); }, 64, 48));
+  const auto refused = [](const InferFunction& infer, const char* word) {
+    try {
+      test_model(infer, 64, 48);
+      ADD_FAILURE() << "accepted: " << word;
+    } catch (const Error& error) {
+      EXPECT_NE(std::string(error.what()).find(word), std::string::npos) << error.what();
+    }
+  };
+  refused([](auto& a, auto&, FlowField& f, double) { f = field_of(a, 1.0F, 0.5F); }, "same at every pixel");
+  refused([&](auto& a, auto&, FlowField& f, double) { f = varied(a, test_frame(64, 48, 3, 0, 0).view()); },
+          "does not depend");
+  refused(
+      [&](auto& a, auto& b, FlowField& f, double) {
+        f = varied(a, b);
+        f.flow[7] = std::numeric_limits<float>::quiet_NaN();
+      },
+      "not finite");
+  refused(
+      [&](auto& a, auto& b, FlowField& f, double) {
+        f = varied(a, b);
+        f.uncertainty[7] = -1.0F;
+      },
+      "negative");
+  refused(
+      [&](auto& a, auto&, FlowField& f, double) {
+        f = field_of(ImageView{a.data, 32, 24, 3, 96}, 1, 1);
+      },
+      "another size");
+}
+
+TEST(Source, FolderWithTimeStampsIsPlayedAtThem) {
+  const io::testing::TempFolder temp;
+  const fs::path& folder = temp.path();
+  for (int i = 0; i < 3; ++i) {
+    io::write_image(folder / ("f" + std::to_string(i) + ".png"), test_frame(16, 16, 1, i, 0).view());
+  }
+  std::ofstream(folder / "timestamps.txt") << "10.0\n10.05\n10.2\n";
+  SourceOptions options;
+  options.kind = SourceKind::kFolder;
+  options.path = folder.string();
+  const auto source = open_source(options);
+  std::vector<double> times_s;
+  for (SourceResult result; (result = source->next()).kind != SourceResult::Kind::kEnd;) {
+    if (result.kind == SourceResult::Kind::kFrame) {
+      EXPECT_LE(result.frame.captured_s, monotonic_s());
+      EXPECT_GT(result.frame.captured_s, monotonic_s() - 0.05);
+      times_s.push_back(result.frame.captured_s);
+    }
+  }
+  ASSERT_EQ(times_s.size(), 3U);
+  EXPECT_NEAR(times_s[1] - times_s[0], 0.05, 1e-6);
+  EXPECT_NEAR(times_s[2] - times_s[0], 0.2, 1e-6);
+  std::ofstream(folder / "timestamps.txt") << "10.0\n9.0\n10.2\n";
+  EXPECT_THROW(open_source(options), Error);
+  std::ofstream(folder / "timestamps.txt") << "10.0\n11.0\n";
+  EXPECT_THROW(open_source(options), Error);
+}
+
+TEST(Source, SpoolTakesTheNewestAndNamesTheDamaged) {
+  const io::testing::TempFolder temp;
+  const fs::path& folder = temp.path();
+  SourceOptions options;
+  options.kind = SourceKind::kSpool;
+  options.path = folder.string();
+  const auto source = open_source(options);
+  EXPECT_EQ(source->next().kind, SourceResult::Kind::kNothing);
+  for (int i = 0; i < 3; ++i) {
+    io::write_image(folder / ("f" + std::to_string(i) + ".png"), test_frame(16, 16, 1, i, 0).view());
+  }
+  const auto result = source->next();
+  ASSERT_EQ(result.kind, SourceResult::Kind::kFrame);
+  EXPECT_EQ(result.frame.name, "f2.png");
+  std::ofstream(folder / "bad.png") << "no image";
+  EXPECT_EQ(source->next().kind, SourceResult::Kind::kDamaged);
+  EXPECT_EQ(source->next().kind, SourceResult::Kind::kNothing);
+  options.path = "/nonexistent";
+  EXPECT_THROW(open_source(options), Error);
+}
+
+TEST(Emergency, WritesTheReleaseOnlyWhileArmed) {
+  std::array<int, 2> ends{};
+  ASSERT_EQ(::pipe(ends.data()), 0);
+  const std::array<std::uint8_t, 4> bytes = {1, 2, 3, 4};
+  EmergencyRelease::disarm();
+  EmergencyRelease::fire();
+  EmergencyRelease::arm(ends[1], bytes.data(), bytes.size());
+  EmergencyRelease::fire();
+  EmergencyRelease::disarm();
+  EmergencyRelease::fire();
+  ::close(ends[1]);
+  std::array<std::uint8_t, 64> read{};
+  EXPECT_EQ(::read(ends[0], read.data(), read.size()), 12);
+  EXPECT_EQ(read[0], 1);
+  EXPECT_EQ(read[11], 4);
+  ::close(ends[0]);
+}
+
+}  // namespace
+}  // namespace ajna::flight

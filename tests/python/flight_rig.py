@@ -1,0 +1,324 @@
+# SPDX-License-Identifier: MIT
+"""What the flight program's tests fly with: a scripted autopilot (pymavlink), a camera made of files, faulty models."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+# The module itself, so that MAVLink 2 is spoken whatever MAVLINK20 says.
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+WIDTH, HEIGHT = 64, 48
+SWITCH = 8
+OVERRIDE_RATE_US_S = 2000.0
+NAN_MARK, SLOW_MARK = 255, 254
+
+CONFIG = """
+model: {{path: "{model}", threads: 1, width_px: 64, height_px: 48{deadline}}}
+source: {{kind: spool, path: "{frames}"}}
+mavlink: {{endpoint: "udpout:127.0.0.1:{port}"}}
+safety: {{switch_channel: 8{timeouts}}}
+task: {{kind: navigate}}
+log: {{folder: "{log}"}}
+"""
+# For tests of something else than time: a busy machine is no fault there.
+PATIENT = (
+    ", rc_timeout_s: 1.0, camera_timeout_s: 1.0, command_timeout_s: 1.0, max_tick_s: 0.5, heartbeat_timeout_s: 3.0"
+)
+
+
+class Autopilot:
+    """An ArduPilot copter as its companion sees it: streams, parameters, overrides. Everything is scripted by the test.
+
+    ``overrides`` and ``releases`` are the times at which RC_CHANNELS_OVERRIDE messages came that override channel 1, or
+    release it; ``heard`` is every message with its time.
+    """
+
+    def __init__(self) -> None:
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.bind(("127.0.0.1", 0))
+        self.socket.settimeout(0.004)
+        self.port: int = self.socket.getsockname()[1]
+        self.peer: Any = None
+        self.mav = mavlink.MAVLink(self, srcSystem=1, srcComponent=1)
+        self.mav.robust_parsing = True
+        self.parameters = {"SYSID_MYGCS": 255.0, "RC_OVERRIDE_TIME": 1.0, "RC_OPTIONS": 32.0}
+        self.armed = True
+        self.mode: int = mavlink.COPTER_MODE_LOITER
+        self.switch_us = 1000
+        self.silent = False
+        self.heard: list[tuple[float, Any]] = []
+        self.overrides: list[float] = []
+        self.releases: list[float] = []
+        self.pulses: list[tuple[float, list[int]]] = []
+        self.unsafe: list[str] = []  # overrides at a time when there should be none
+        self._channels = [0] * 18
+        self._heartbeat_s = 1.0
+        self._asked: list[str] = []
+        self._stop = False
+        self._changed_s = 0.0
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def write(self, data: bytes) -> None:
+        if self.peer is not None:
+            self.socket.sendto(data, self.peer)
+
+    def close(self) -> None:
+        self._stop = True
+        self._thread.join()
+        self.socket.close()
+
+    def ready(self, armed: bool = True, mode: int = mavlink.COPTER_MODE_LOITER) -> None:
+        self.armed, self.mode = armed, mode
+        self._changed_s = time.monotonic()
+
+    @property
+    def overridden(self) -> bool:
+        return self._channels[0] != 0
+
+    def _run(self) -> None:
+        due = dict.fromkeys(("heartbeat", "status", "rc", "attitude"), 0.0)
+        while not self._stop:
+            try:
+                data, self.peer = self.socket.recvfrom(4096)
+            except (TimeoutError, ConnectionError):
+                data = b""
+            now = time.monotonic()
+            for message in self.mav.parse_buffer(data) or [] if data else []:
+                self._take(now, message)
+            if self.silent or self.peer is None:
+                continue
+            every = {"heartbeat": self._heartbeat_s, "status": 0.2, "rc": 0.04, "attitude": 0.04}
+            for name, period in every.items():
+                if now - due[name] >= period:
+                    due[name] = now
+                    getattr(self, f"_send_{name}")()
+            for name in self._asked:
+                if name in self.parameters:
+                    self.mav.param_value_send(name.encode(), self.parameters[name], 9, 1000, 0)
+            self._asked.clear()
+
+    def _send_heartbeat(self) -> None:
+        armed = mavlink.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0
+        self.mav.heartbeat_send(
+            mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 1 | armed, self.mode, 4
+        )
+
+    def _send_status(self) -> None:
+        receiver = mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
+        self.mav.sys_status_send(receiver, receiver, receiver, 0, 12000, 0, 90, 0, 0, 0, 0, 0, 0)
+
+    def _send_rc(self) -> None:
+        channels = [pulse or 1500 for pulse in self._channels]
+        channels[SWITCH - 1] = self.switch_us
+        self.mav.rc_channels_send(0, 16, *channels, 200)
+
+    def _send_attitude(self) -> None:
+        self.mav.attitude_send(0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+
+    def _take(self, now: float, message: Any) -> None:
+        self.heard.append((now, message))
+        kind = message.get_type()
+        if kind == "PARAM_REQUEST_READ":
+            self._asked.append(message.param_id)
+        elif kind == "COMMAND_LONG" and message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
+            if message.param1 == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+                self._heartbeat_s = message.param2 * 1e-6
+        elif kind == "RC_CHANNELS_OVERRIDE":
+            self._override(now, [getattr(message, f"chan{i}_raw") for i in range(1, 19)])
+
+    def _override(self, now: float, wire: list[int]) -> None:
+        """As ArduPilot reads it: 0 releases and 65535 ignores below channel 9; 65534 releases and both ignore above."""
+        for i, value in enumerate(wire):
+            if value == 65535 or (i >= 8 and value == 0):
+                continue
+            self._channels[i] = 0 if (i < 8 and value == 0) or (i >= 8 and value == 65534) else value
+        if self.overridden:
+            self.overrides.append(now)
+            self.pulses.append((now, list(self._channels)))
+            allowed = self.armed and self.mode == mavlink.COPTER_MODE_LOITER and self.switch_us > 1700
+            if not allowed and now - self._changed_s > 0.2:
+                self.unsafe.append(f"armed {self.armed}, mode {self.mode}, switch {self.switch_us}")
+        else:
+            self.releases.append(now)
+
+    def set_switch(self, pulse_us: int) -> None:
+        self.switch_us = pulse_us
+        self._changed_s = time.monotonic()
+
+
+class SpoolCamera:
+    """Moves frames into a folder at 30 Hz. ``mark`` goes into the first pixel, where faulty models look for it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.stalled = False
+        self.damaged = False
+        self.mark = 0
+        random = np.random.default_rng(0)
+        self._image: NDArray[np.uint8] = random.integers(0, 250, (HEIGHT, WIDTH, 3), dtype=np.uint8)
+        self._stop = False
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._stop = True
+        self._thread.join()
+
+    def _run(self) -> None:
+        index = 0
+        while not self._stop:
+            time.sleep(1 / 30)
+            if self.stalled:
+                continue
+            image = np.roll(self._image, index, axis=1)
+            image[0, 0] = self.mark
+            data = f"P6 {WIDTH} {HEIGHT} 255\n".encode() + image.tobytes()
+            hidden = self.folder / ".frame"
+            hidden.write_bytes(data[:500] if self.damaged else data)
+            os.replace(hidden, self.folder / f"frame{index % 4}.ppm")
+            index += 1
+
+
+class _Faulty(torch.nn.Module):
+    """A model that fails on marked frames."""
+
+    def __init__(self, inner: torch.jit.ScriptModule) -> None:
+        super().__init__()
+        self.inner = inner
+
+    def forward(self, frame1: torch.Tensor, frame2: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        return self.predict(frame1, frame2)
+
+    @torch.jit.export
+    def predict(self, frame1: torch.Tensor, frame2: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        flow, uncertainty, error = self.inner.predict(frame1, frame2)
+        mark = int(frame2[0, 0, 0, 0])
+        if mark == 255:
+            flow = flow * float("nan")
+        if mark == 254:
+            x = torch.eye(300)
+            for _ in range(2000):
+                x = x @ x
+            flow = flow * x[0, 0]
+        return flow, uncertainty, error
+
+
+class _Constant(torch.nn.Module):
+    """A model whose answer says nothing, or is none."""
+
+    def __init__(self, value: float) -> None:
+        super().__init__()
+        self.value = value
+
+    def forward(self, frame1: torch.Tensor, frame2: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        return self.predict(frame1, frame2)
+
+    @torch.jit.export
+    def predict(self, frame1: torch.Tensor, frame2: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        plane = torch.full([frame1.size(0), 2, frame1.size(2), frame1.size(3)], self.value)
+        return plane, plane + 1.0, plane + 1.0
+
+
+def _save(model: torch.nn.Module, like: Path, path: Path) -> Path:
+    """``model`` with the metadata of the TorchScript file ``like``."""
+    metadata = {"ajna.json": ""}
+    torch.jit.load(like, _extra_files=metadata)
+    torch.jit.script(model).save(str(path), _extra_files=metadata)
+    return path
+
+
+def faulty_model(script: Path, path: Path) -> Path:
+    return _save(_Faulty(torch.jit.load(script)), script, path)
+
+
+def constant_model(script: Path, path: Path, value: float) -> Path:
+    return _save(_Constant(value), script, path)
+
+
+def wait_for(condition: Callable[[], bool], seconds: float) -> bool:
+    until = time.monotonic() + seconds
+    while not condition() and time.monotonic() < until:
+        time.sleep(0.002)
+    return condition()
+
+
+class Rig:
+    """A running program with its autopilot and its camera."""
+
+    def __init__(
+        self, program: Path, folder: Path, model: Path, *arguments: str, patient: bool = True, **popen: Any
+    ) -> None:
+        frames = folder / "frames"
+        frames.mkdir()
+        self.autopilot = Autopilot()
+        self.camera = SpoolCamera(frames)
+        self.log = folder / "log"
+        config = folder / "flight.yaml"
+        text = CONFIG.format(
+            model=model,
+            frames=frames,
+            port=self.autopilot.port,
+            log=self.log,
+            deadline=", deadline_s: 1.0" if patient else "",
+            timeouts=PATIENT if patient else "",
+        )
+        config.write_text(text)
+        self.stderr = folder / "stderr.txt"
+        with self.stderr.open("w") as stderr:
+            self.process = subprocess.Popen(
+                [str(program), "--config", str(config), *arguments],
+                stderr=stderr,
+                stdout=subprocess.PIPE,
+                **popen,
+            )
+
+    @property
+    def said(self) -> str:
+        return self.stderr.read_text()
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        self.camera.close()
+        self.autopilot.close()
+
+    def wait_until_ready(self) -> None:
+        """Until only the switch is missing."""
+        assert wait_for(lambda: self.said.rstrip().endswith("the pilot's switch is off"), 30), self.said
+
+    def activate(self) -> None:
+        for _ in range(5):  # a busy machine may be too slow for a moment
+            self.wait_until_ready()
+            self.autopilot.set_switch(2000)
+            if wait_for(lambda: self.autopilot.overridden, 1):
+                time.sleep(0.3)
+                if self.autopilot.overridden:
+                    return
+            self.autopilot.set_switch(1000)
+            time.sleep(1.0)
+        raise AssertionError(self.said)
+
+    def expect_release(self, since: float) -> float:
+        """The time from ``since`` to the first release; nothing may override afterwards."""
+        autopilot = self.autopilot
+        assert wait_for(lambda: any(t >= since for t in autopilot.releases), 2), self.said
+        released = next(t for t in autopilot.releases if t >= since)
+        time.sleep(0.7)
+        assert not autopilot.overridden
+        assert not [t for t in autopilot.overrides if t > released]
+        repeats = [t for t in autopilot.releases if t >= released]
+        assert len(repeats) >= 5, "a release that is lost must have followers"
+        return released - since
