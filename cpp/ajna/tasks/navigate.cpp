@@ -125,11 +125,9 @@ NavigateResult NavigatePipeline::step(const cv::Mat& map, double time_s, const E
   }
   const double dt_s = order == FrameOrder::kNext ? time_s - *last_s_ : 0.0;
   last_s_ = time_s;
-  result.steps = find_regions(map, options_.map);
-  if (result.steps.status == MapStatus::kInvalidInput) {
+  if (!is_valid_map(map)) {
     return result;
   }
-
   const auto camera = geometry::Camera::from_horizontal_fov(map.cols, map.rows, options_.horizontal_fov_rad);
   const bool turns = angular_velocity_rad_s && angular_velocity_rad_s->allFinite() && dt_s > 0.0;
   const Eigen::Vector3d omega = turns ? *angular_velocity_rad_s : Eigen::Vector3d::Zero();
@@ -140,6 +138,8 @@ NavigateResult NavigatePipeline::step(const cv::Mat& map, double time_s, const E
                     std::clamp(result.goal_px.y(), 0.0, map.rows - 1.0)};
   result.free_px = result.goal_px;
   result.window = window_about(result.goal_px, map.size(), options_);
+  // The window alone tells near from far: the ground below it is nearer than anything that is flown into.
+  result.steps = find_regions(map, options_.map, result.window);
 
   if (result.steps.status == MapStatus::kFlat) {
     // Equal everywhere: nothing near, or nothing to be seen at all. The level tells.

@@ -31,7 +31,7 @@ double navigation_weight(WeightRule rule, double y_close, double y_other, double
 struct NavigateOptions {
   MapOptions map;              ///< closing joins the two rims of a trunk, and must not close what one flies through
   double window_width = 0.7;   ///< neighbourhood of the goal, as a share of the image's width
-  double window_height = 0.6;  ///< and of its height
+  double window_height = 0.4;  ///< and of its height
   WeightRule weight = WeightRule::kLimits;
   double delta = 0.15;              ///< the second most unsafe region is further by this share at least (Eq. 6's delta)
   int directions = 9;               ///< columns of the window in which Z_o,i is read; as many rows as make them square

@@ -96,7 +96,8 @@ double threshold_of(const cv::Mat& normalized, const MapOptions& options);
 cv::Mat morphology(const cv::Mat& mask, int open_px, int close_px, bool fill_holes);
 
 /// All steps. Throws Error(kInvalidArgument) for options out of range; a map that cannot be used is a status.
-MapSteps find_regions(const cv::Mat& map, const MapOptions& options = {});
+/// counted: the part of the map, less the border, that sets normalisation and threshold; empty: all of it.
+MapSteps find_regions(const cv::Mat& map, const MapOptions& options = {}, const cv::Rect& counted = {});
 
 /// The largest connected space without uncertain pixels.
 struct FreeSpace {

@@ -241,12 +241,15 @@ class NavigateSkill:
 class GapSkill:
     """Explore, find the gap, fly through it; see :class:`ajna.tasks.GapPipeline`.
 
-    Where no gap is found, or it is lost, the exploratory motion starts anew, each time the other way.
+    The vehicle begins at rest. What the pipeline tracks are frames from which roll and pitch, which the IMU knows, are
+    taken out. Where no gap is found, or it is lost, it stops and explores anew, each time the other way.
     """
 
     SETTLE_S = 0.3
+    REST_M_S, REST_RAD = 0.15, 0.05  # what counts as at rest and level
     LOOK_S = (0.4, 0.8)  # of exploring before the first look at the stacked maps, and before it starts anew
     COAST_S = 2.0  # after the gap surrounds the camera: the length of the vehicle, and room to stop
+    SLEW_M_S2 = 2.0  # change of the velocity asked for: what is harder tilts the camera, and blurs
 
     def __init__(self, signal: Signal, setup: TaskSetup, every: int) -> None:
         options, policy = tasks.GapOptions(), tasks.GapPolicyOptions()
@@ -255,51 +258,65 @@ class GapSkill:
         planning_hz = setup.camera.rate_hz / every
         least, most = (max(3, round(seconds * planning_hz)) for seconds in self.LOOK_S)
         options.min_pairs, options.max_pairs = least, max(most, least + 3)
+        self._step_m_s = self.SLEW_M_S2 / planning_hz
+        self._fov_rad = setup.camera.horizontal_fov_rad
         self._signal = signal
-        self._pipeline = tasks.GapPipeline(options, setup.camera.horizontal_fov_rad)
+        self._pipeline = tasks.GapPipeline(options, self._fov_rad)
         self._policy = tasks.GapPolicy(policy)
         self._explore = tasks.ExploreOptions()
         self._explore.duration_s = 2 * self.LOOK_S[1]  # until the pipeline says that it has seen enough
         self._reference: Observation | None = None
+        self._velocity = np.zeros(3)
         self._began_s = 0.0
         self._rounds = 0
         self._decided = False
 
     def plan(self, observation: Observation, past: Sequence[Observation]) -> Answer:
         time_s = observation.frame.time_s
-        if time_s < self.SETTLE_S:
-            return Answer()
-        uncertainty = None
-        if self._pipeline.wants_map and self._reference is not None:
-            uncertainty = self._signal(self._reference, observation, "plane")
-        result = self._pipeline.step(observation.rgb, uncertainty, time_s)
-        if result.status == "lost":
+        level = _level_from_camera(observation)
+        if self._reference is None:
+            speed, tilt = float(np.linalg.norm(observation.velocity_m_s)), math.acos(min(1.0, float(level[2, 2])))
+            if time_s < self.SETTLE_S or speed > self.REST_M_S or tilt > self.REST_RAD:
+                return Answer(command=self._toward(np.zeros(3)))
+            self._start(observation)
             self._pipeline.reset()
             self._policy.reset()
-            result = self._pipeline.step(observation.rgb, None, time_s)
-            self._start(observation)
-        elif self._reference is None or result.status == "no_gap":
-            self._start(observation)
-        if result.status in ("exploring", "no_gap"):
+            self._pipeline.step(observation.rgb, None, time_s)
+            return Answer(command=self._wobble(0.0))
+        stable = tasks.derotate_frame(observation.rgb, level, self._fov_rad)
+        uncertainty = self._signal(self._reference, observation, "plane") if self._pipeline.wants_map else None
+        result = self._pipeline.step(stable.image, uncertainty, time_s)
+        if result.status == "exploring":
             return Answer(command=self._wobble(time_s - self._began_s))
         if result.status == "through":
-            return Answer(command=self._policy.update(None, True, time_s))
+            return Answer(command=self._follow(self._policy.update(None, True, time_s)))
         if result.status != "tracking":
-            return Answer()
-        point = (float(result.safe_px[0]), float(result.safe_px[1]))
-        _, right, down = observation.bearing(point)
-        command = self._policy.update(np.array([right, down]), False, time_s)
+            self._reference = None
+            return Answer(command=self._toward(np.zeros(3)))
+        command = self._policy.update(result.safe_offset, False, time_s)
         decided, self._decided = not self._decided, True
-        return Answer(_inside(result.contour, observation), point, command, decided)
+        back = np.linalg.inv(stable.reference_from_frame)
+        contour = _mapped(back, result.contour)
+        point = _mapped(back, result.safe_px[None])[0]
+        return Answer(_inside(contour, observation), (float(point[0]), float(point[1])), self._follow(command), decided)
 
     def _start(self, observation: Observation) -> None:
         self._reference, self._began_s = observation, observation.frame.time_s
         self._rounds += 1
 
+    def _toward(self, velocity: Floats) -> Command:
+        """A velocity in steps that do not tilt the camera much."""
+        change = velocity - self._velocity
+        self._velocity = self._velocity + change * min(1.0, self._step_m_s / max(float(np.linalg.norm(change)), 1e-9))
+        forward, right, down = (float(v) for v in self._velocity)
+        return Command((forward, right, down))
+
+    def _follow(self, command: tasks.Command) -> Command:
+        return self._toward(np.array(command.velocity_m_s))
+
     def _wobble(self, elapsed_s: float) -> Command:
         way = 1.0 if self._rounds % 2 else -1.0
-        forward, right, down = (way * float(v) for v in tasks.explore(self._explore, elapsed_s).velocity_m_s)
-        return Command((forward, right, down))
+        return self._toward(way * np.array(tasks.explore(self._explore, elapsed_s).velocity_m_s))
 
 
 class PileSkill:
@@ -313,6 +330,17 @@ class PileSkill:
             return Answer()
         result = tasks.segment_pile(observation.rgb, self._signal(observation, past[-1]))
         return Answer(result.segmentation, decided=result.status == "ok")
+
+
+def _level_from_camera(observation: Observation) -> Floats:
+    """From the camera's axes to those of a camera that is level and looks ahead (x right, y down, z forward) [3, 3]."""
+    return np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]) @ observation.heading_from_camera
+
+
+def _mapped(homography: NDArray[np.floating], points: NDArray[np.floating]) -> Floats:
+    """Points [N, 2] by a homography."""
+    homogeneous = np.column_stack([points, np.ones(len(points))]) @ homography.T
+    return homogeneous[:, :2] / homogeneous[:, 2:]
 
 
 def _inside(contour: NDArray[np.floating], observation: Observation) -> Mask:
