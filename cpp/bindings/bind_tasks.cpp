@@ -244,6 +244,7 @@ void bind_navigate(py::module_& m) {
   AJNA_FIELD(directions);
   AJNA_FIELD(floor);
   AJNA_FIELD(blocked);
+  AJNA_FIELD(keep);
   AJNA_FIELD(min_free_area);
   AJNA_FIELD(min_clearance);
   AJNA_FIELD(horizontal_fov_rad);

@@ -579,6 +579,7 @@ class NavigateOptions:
     directions: int
     floor: float
     horizontal_fov_rad: float
+    keep: float
     map: MapOptions
     max_gap_s: float
     min_clearance: float

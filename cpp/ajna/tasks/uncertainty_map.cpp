@@ -291,7 +291,8 @@ MapSteps find_regions(const cv::Mat& map, const MapOptions& options, const cv::R
   return steps;
 }
 
-FreeSpace largest_free_space(const cv::Mat& unsafe, const cv::Rect& window) {
+FreeSpace largest_free_space(const cv::Mat& unsafe, const cv::Rect& window, const std::optional<cv::Point2d>& before,
+                             double keep) {
   require(unsafe.type() == CV_8U && !unsafe.empty(), "free space: give a mask of 8-bit pixels");
   FreeSpace space;
   space.mask = cv::Mat::zeros(unsafe.size(), CV_8U);
@@ -304,10 +305,18 @@ FreeSpace largest_free_space(const cv::Mat& unsafe, const cv::Rect& window) {
   cv::Mat stats;
   cv::Mat centroids;
   const int count = cv::connectedComponentsWithStats(free, labels, stats, centroids, 4, CV_32S);
+  int kept = 0;
+  if (before) {
+    const cv::Point inside(cvRound(before->x) - part.x, cvRound(before->y) - part.y);
+    kept = cv::Rect(0, 0, part.width, part.height).contains(inside) ? labels.at<int>(inside) : 0;
+  }
   int best = 0;
+  double best_area = 0.0;
   for (int k = 1; k < count; ++k) {
-    if (best == 0 || stats.at<int>(k, cv::CC_STAT_AREA) > stats.at<int>(best, cv::CC_STAT_AREA)) {
+    const double area = stats.at<int>(k, cv::CC_STAT_AREA) * (k == kept ? keep : 1.0);
+    if (area > best_area) {
       best = k;
+      best_area = area;
     }
   }
   if (best == 0) {

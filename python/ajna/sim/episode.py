@@ -35,6 +35,7 @@ class EpisodeResult:
     detection_iou: of the mask with the true one on the frame on which the method acted; 0: it never did.
     safe_point_error_px: mean distance of the method's point from the one that true depth gives on the same frame.
     decided_s: time of the frame on which the method first acted on a detection; None: it never did.
+    best_iou: the largest on any frame from then on.
     path: (t, x, y, z) once a frame.
     """
 
@@ -54,6 +55,7 @@ class EpisodeResult:
     detection_iou: float | None = None
     run_time_ms: float | None = None
     decided_s: float | None = None
+    best_iou: float | None = None
     path: list[tuple[float, ...]] = field(default_factory=list)
 
     def to_json(self) -> dict[str, Any]:
@@ -166,6 +168,7 @@ def _fly(world: World, method: Method, renderer: Renderer, watch: Watcher | None
     run_times: list[float] = []
     iou: float | None = None if world.task == "navigate" else 0.0
     decided_s: float | None = None
+    best_iou = iou
     while reason is None:
         frame = flight.advance(command)
         observation = flight.observe(frame)
@@ -182,10 +185,11 @@ def _fly(world: World, method: Method, renderer: Renderer, watch: Watcher | None
                 errors.append(float(np.hypot(*np.subtract(ideal, output.point_px))))
         if output.decided and decided_s is None:
             decided_s = frame.time_s
-        if output.decided and output.mask is not None:
+        if best_iou is not None and decided_s is not None and output.mask is not None:
             truth = true_mask(world, frame)
             if truth is not None:
-                iou = intersection_over_union(output.mask, truth)
+                here = intersection_over_union(output.mask, truth)
+                iou, best_iou = (here if output.decided else iou), max(best_iou, here)
         if watch is not None:
             watch(observation, output)
         reason = _outcome(world, flight)
@@ -207,6 +211,7 @@ def _fly(world: World, method: Method, renderer: Renderer, watch: Watcher | None
         detection_iou=iou,
         run_time_ms=1e3 * float(np.median(run_times)) if run_times else None,
         decided_s=decided_s,
+        best_iou=best_iou,
         path=[tuple(round(v, 4) for v in point) for point in flight.path],
     )
 
