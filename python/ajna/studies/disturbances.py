@@ -100,7 +100,7 @@ def _rain(scene: StudyScene, random: np.random.Generator) -> StudyScene:
 
     height, width = scene.boundary.shape
     lean = random.uniform(-0.3, 0.3)
-    frames, streaks = [], np.zeros((height, width), bool)
+    frames = []
     for frame in (scene.frame1, scene.frame2):
         drawn = np.zeros((height, width), np.uint8)
         for _ in range(int(random.integers(250, 400))):
@@ -108,8 +108,7 @@ def _rain(scene: StudyScene, random: np.random.Generator) -> StudyScene:
             end = (round(x + lean * length), round(y + length))
             cv2.line(drawn, (round(x), round(y)), end, int(random.integers(60, 140)), 1, cv2.LINE_AA)
         frames.append(_uint8(frame + 0.7 * drawn[..., None].astype(np.float64)))
-        streaks |= drawn > 20
-    return replace(scene, frame1=frames[0], frame2=frames[1], touched=streaks)
+    return replace(scene, frame1=frames[0], frame2=frames[1])
 
 
 def _low_texture(scene: StudyScene, random: np.random.Generator) -> StudyScene:

@@ -139,11 +139,12 @@ def _auc(high: Map, low: Map) -> float:
     return float(roc_auc(scores, positive))
 
 
-def measure(scene: StudyScene, field: Any, calm: Any) -> SceneFigures:
+def measure(scene: StudyScene, field: Any, plain: StudyScene, calm: Any) -> SceneFigures:
     """The figures of one disturbed scene.
 
     Args:
-        field: the flow field of the disturbed pair; calm: of the scene before it was disturbed.
+        field: the flow field of the disturbed pair.
+        plain, calm: the scene before it was disturbed, and its flow field.
     """
     uncertainty = np.linalg.norm(field.uncertainty, axis=2)
     inside = np.zeros_like(scene.boundary)
@@ -153,7 +154,9 @@ def measure(scene: StudyScene, field: Any, calm: Any) -> SceneFigures:
     distance = analysis.distance_to(scene.boundary, AWAY_PX + 1)
     away = clear & (distance > AWAY_PX) & ~scene.occluded
     at = clear & (distance <= AT_PX)
-    flat = away & (analysis.local_contrast(scene.frame1) < FLAT_GREY)
+    # Noise must not make a flat wall textured, and low contrast makes a textured one flat.
+    contrast = np.minimum(analysis.local_contrast(scene.frame1), analysis.local_contrast(plain.frame1))
+    flat = away & (contrast < FLAT_GREY)
 
     def mean(mask: Mask) -> float:
         return float(uncertainty[mask].mean()) if mask.sum() >= LEAST_PX else float("nan")
@@ -199,6 +202,6 @@ def run(
         pairs += [with_patch(scene, patch, options.seed) for _, patch in patches]
         for condition, pair in zip(conditions, pairs, strict=True):
             same = pair.frame1 is scene.frame1 and pair.frame2 is scene.frame2
-            condition.scenes.append(measure(pair, calm if same else model(pair.frame1, pair.frame2), calm))
+            condition.scenes.append(measure(pair, calm if same else model(pair.frame1, pair.frame2), scene, calm))
         progress((number + 1) / options.scenes)
     return conditions
