@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The robustness study: disturbances that do what they say, figures of a known field, a patch that attacks, the command."""
+"""The robustness study: disturbances, figures of a known field, a patch that attacks, the command."""
 
 from __future__ import annotations
 

@@ -178,6 +178,8 @@ def _measure_robustness(model: str, device: str, options: Any, patch_steps: int,
     if patch_steps:
         attacks["patch, white box"] = checkpoint_path(model)
         if surrogate is not None:
+            if not surrogate.is_file():
+                raise FileNotFoundError(f"surrogate '{surrogate}' does not exist: give the file of a checkpoint")
             attacks["patch, transferred"] = checkpoint_path(surrogate)
         else:
             notes.append("a patch made against another network, as no --surrogate was given")

@@ -95,7 +95,7 @@ def markdown(study: RobustnessStudy, figures: str, pictures: str) -> str:
 
 
 def draw(study: RobustnessStudy) -> RgbImage:
-    """Boundary over flat, textured and touched regions, for every disturbance: median, quartiles, range of scenes."""
+    """Boundary over flat, textured and touched regions: median, quartiles and 5 to 95 % of the scenes."""
     names = [condition.name for condition in study.conditions]
     figure = Figure(figsize=(10.5, 0.42 * len(names) + 1.8), dpi=90, facecolor="white", layout="constrained")
     canvas = FigureCanvasAgg(figure)
@@ -103,8 +103,10 @@ def draw(study: RobustnessStudy) -> RgbImage:
         for row, condition in enumerate(study.conditions):
             ratio = condition.ratios(region)
             if ratio.size:
-                axes.boxplot(ratio, positions=[row], widths=0.6, vert=False, whis=(5, 95), showfliers=False,
-                             medianprops={"color": "C1"})  # fmt: skip
+                low, first, median, third, high = np.quantile(ratio, [0.05, 0.25, 0.5, 0.75, 0.95])
+                axes.plot([low, high], [row, row], color="0.4", linewidth=1)
+                axes.plot([first, third], [row, row], color="C0", linewidth=7, solid_capstyle="butt")
+                axes.plot(median, row, "|", color="C1", markersize=13, markeredgewidth=2)
         axes.axvline(1.0, color="0.5", linewidth=0.8)
         axes.set_xscale("log")
         axes.set_title(f"uncertainty at boundaries / {region}", fontsize=10)
