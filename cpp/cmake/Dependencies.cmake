@@ -53,7 +53,7 @@ endif()
 
 set(AJNA_WITH_FLIGHT OFF)
 if(AJNA_WITH_VISION)
-  find_package(OpenCV REQUIRED COMPONENTS core imgproc imgcodecs video videoio)
+  find_package(OpenCV REQUIRED COMPONENTS calib3d core imgproc imgcodecs video videoio)
   find_package(Eigen3 3.4 REQUIRED NO_MODULE)
   if(AJNA_BUILD_APPS)
     find_package(CLI11 REQUIRED)

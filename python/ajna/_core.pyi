@@ -36,6 +36,34 @@ class AdmissibilityReport:
     @property
     def reason(self) -> str: ...
 
+class AlignOptions:
+    inlier_px: float
+    levels: int
+    margin_px: int
+    max_features: int
+    max_roundtrip_px: float
+    min_inlier_ratio: float
+    min_inliers: int
+    quality: float
+    spacing_px: float
+    window_px: int
+    def __init__(self) -> None: ...
+
+class Alignment:
+    def within(self, uncertainty: NDArray[Any]) -> NDArray[np.float32]: ...
+    @property
+    def found(self) -> bool: ...
+    @property
+    def image(self) -> NDArray[np.uint8]: ...
+    @property
+    def inliers(self) -> int: ...
+    @property
+    def reference_from_frame(self) -> NDArray[np.float64]: ...
+    @property
+    def tracked(self) -> int: ...
+    @property
+    def valid(self) -> NDArray[np.bool_] | None: ...
+
 class AugmentConfig:
     asymmetric_probability: float
     blur_max_px: float
@@ -158,6 +186,7 @@ class DodgeOptions:
     min_contrast: float
     min_growth_per_s: float
     min_uncertainty: float
+    vertical: float
     def __init__(self) -> None: ...
 
 class DodgePipeline:
@@ -550,6 +579,7 @@ class NavigateOptions:
     directions: int
     floor: float
     horizontal_fov_rad: float
+    keep: float
     map: MapOptions
     max_gap_s: float
     min_clearance: float
@@ -875,7 +905,11 @@ class VideoWriter:
 
 def augment_preset(name: str) -> AugmentPreset: ...
 def augment_presets() -> list[AugmentPreset]: ...
+def align_to(reference: NDArray[Any], frame: NDArray[Any], options: AlignOptions = ...) -> Alignment: ...
 def count_macs(config: NetConfig, height: int, width: int) -> int: ...
+def derotate_frame(
+    frame: NDArray[Any], reference_from_frame: ArrayLike, horizontal_fov_rad: float, options: AlignOptions = ...
+) -> Alignment: ...
 def derotate_flow(
     camera: Camera, flow: NDArray[Any], angular_velocity_rad_s: ArrayLike, dt_s: float
 ) -> NDArray[np.float32]: ...

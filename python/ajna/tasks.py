@@ -24,6 +24,8 @@ if not _core.with_vision:
     raise ImportError("ajna.tasks needs the build with vision: build ajna again with AJNA_WITH_VISION=ON")
 
 from ajna._core import (
+    Alignment,
+    AlignOptions,
     Camera,
     Command,
     DodgeOptions,
@@ -53,7 +55,9 @@ from ajna._core import (
     PidOptions,
     SegmentOptions,
     SegmentResult,
+    align_to,
     derotate_flow,
+    derotate_frame,
     derotate_pixel,
     desired_direction,
     detect_gap,
@@ -70,6 +74,8 @@ from ajna._core import (
 
 __all__ = [
     "SKILLS",
+    "AlignOptions",
+    "Alignment",
     "Camera",
     "Command",
     "DodgeOptions",
@@ -99,8 +105,10 @@ __all__ = [
     "PidOptions",
     "SegmentOptions",
     "SegmentResult",
+    "align_to",
     "command_dict",
     "derotate_flow",
+    "derotate_frame",
     "derotate_pixel",
     "desired_direction",
     "detect_gap",

@@ -34,6 +34,14 @@ def test_runs(path: Path, frames: str, tmp_path: Path) -> None:
         if importlib.util.find_spec(package) is None:
             pytest.skip(f"needs the notebooks extra ({package})")
     text = path.read_text()
+    if "ajna.sim" in text:
+        pytest.importorskip("mujoco", reason="needs the sim extra")
+        from ajna.sim.gl import NoRenderingError, rendering_backend
+
+        try:
+            rendering_backend()
+        except NoRenderingError as error:
+            pytest.skip(str(error))
     if frames == "without_opencv_doc":
         if FRAMES not in text:
             pytest.skip("does not use the frames of opencv-doc")

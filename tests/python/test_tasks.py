@@ -15,6 +15,7 @@ io = pytest.importorskip("ajna.io", reason="needs the build with vision (AJNA_WI
 
 from ajna import synth, task_overlays, tasks  # noqa: E402
 from ajna.cli import main  # noqa: E402
+from ajna.model import models  # noqa: E402
 
 SIZE = (240, 320)
 FRAME = 1 / 30
@@ -325,3 +326,58 @@ def test_task_refuses_what_it_cannot_do(folder: Path, tmp_path: Path, tiny_check
     io.write_image(folder / "alone" / "0.png", np.zeros((48, 64, 3), np.uint8))
     assert "two frames or more" in refused("task", "segment", folder / "alone", *rest)
     assert not out.exists()
+
+
+# --- alignment -------------------------------------------------------------------------------------------------------
+
+
+def texture(seed: int) -> NDArray[np.uint8]:
+    coarse = np.random.default_rng(seed).uniform(0, 255, (SIZE[0] // 8, SIZE[1] // 8, 3))
+    fine = np.kron(coarse, np.ones((8, 8, 1)))
+    return ((fine + np.roll(fine, 3, 0) + np.roll(fine, 3, 1) + np.roll(fine, (3, 3), (0, 1))) / 4).astype(np.uint8)
+
+
+def test_a_shift_of_the_wall_is_taken_out() -> None:
+    wall = texture(0)
+    shifted = np.roll(wall, (4, -7), (0, 1))
+    found = tasks.align_to(wall, shifted)
+    assert found.found and found.inliers >= 0.8 * found.tracked
+    np.testing.assert_allclose(found.reference_from_frame[:2, 2], (7, -4), atol=0.3)
+    inside = np.s_[30:-30, 30:-30]
+    assert np.abs(found.image[inside].astype(int) - wall[inside]).mean() < 4
+    assert found.valid is not None and not found.valid[:, :4].any()
+    field = np.stack([np.full(SIZE, 3.0), np.full(SIZE, 4.0)], axis=-1).astype(np.float32)
+    field[:, :4] = 50
+    np.testing.assert_allclose(found.within(field), 5.0)
+    plain = tasks.align_to(np.full_like(wall, 90), wall)
+    assert not plain.found and np.array_equal(plain.image, wall)
+    with pytest.raises(ValueError, match="one size"):
+        tasks.align_to(wall, wall[:, :100])
+
+
+def test_a_turn_is_taken_out() -> None:
+    frame = texture(1)
+    angle = 0.05  # to the right: what was ahead is seen on the left
+    turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
+    back = tasks.derotate_frame(frame, turn, 1.2)
+    focal = SIZE[1] / 2 / np.tan(0.6)
+    center = np.array([(SIZE[1] - 1) / 2, (SIZE[0] - 1) / 2, 1.0])
+    moved = back.reference_from_frame @ center
+    np.testing.assert_allclose(moved[:2] / moved[2], (center[0] + focal * np.tan(angle), center[1]), atol=1e-6)
+    np.testing.assert_array_equal(tasks.derotate_frame(frame, np.eye(3), 1.2).image, frame)
+    with pytest.raises(ValueError, match="rotation"):
+        tasks.derotate_frame(frame, 2 * np.eye(3), 1.2)
+
+
+def test_gap_command_takes_the_motion_of_the_wall_out(tmp_path: Path) -> None:
+    """The second frame is the wall shifted; the command must align it, or its map is that of a moving wall."""
+    wall = texture(2)
+    names = []
+    for index, frame in enumerate((wall, np.roll(wall, (0, -9), (0, 1)))):
+        names.append(str(tmp_path / f"{index}.png"))
+        io.write_image(names[-1], frame)
+    if not models():
+        pytest.skip("this build ships no model")
+    assert main(["task", "gap", *names, "--out", str(tmp_path / "out")]) == 0
+    (line,) = (tmp_path / "out" / "commands.jsonl").read_text().splitlines()
+    assert json.loads(line)["status"] == "exploring"  # a wall without a gap

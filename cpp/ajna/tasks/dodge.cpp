@@ -76,9 +76,10 @@ DodgeOptions::DodgeOptions() {
   map.smooth_px = 1.0;
   map.rule = ThresholdRule::kFixed;  // a share of the peak: Otsu's takes in the halo about a small thing
   map.fixed = 0.6;
-  map.open_px = 5;
+  map.high_quantile = 0.9995;  // by less, a small thing would be clipped away with the peaks
+  map.open_px = 0;             // the rims of a small thing are thin: what remains of noise is refused by its area
   map.close_px = 9;
-  map.min_area = 0.0008;
+  map.min_area = 0.0003;
   map.max_area = 0.25;
 }
 
@@ -93,6 +94,9 @@ void validate(const DodgeOptions& options) {
   if (!(options.gate > 0.0 && options.max_gap_s > 0.0 && options.horizon_s > 0.0 && options.min_growth_per_s > 0.0 &&
         options.direct_hit >= 0.0)) {
     throw_invalid("dodge options: gate, max_gap_s, horizon_s and min_growth_per_s must be positive");
+  }
+  if (!(options.vertical >= 0.0 && options.vertical <= 1.0)) {
+    throw_invalid("dodge options: give vertical from 0 (sideways only) to 1");
   }
   if (!(options.horizontal_fov_rad > 0.0 && options.horizontal_fov_rad < M_PI)) {
     throw_invalid("dodge options: give horizontal_fov_rad between 0 and pi");
@@ -207,10 +211,11 @@ void DodgePipeline::predict(DodgeResult& result, const cv::Size& size) const {
   const Eigen::Vector2d center(0.5 * (size.width - 1), 0.5 * (size.height - 1));
   const Eigen::Vector2d miss = result.time_to_contact_s * result.velocity_px_s;
   result.impact_px = center + miss;
-  Eigen::Vector2d away = -miss;
-  if (miss.norm() < options_.direct_hit * size.height) {
+  const Eigen::Vector2d counted(1.0, options_.vertical);
+  Eigen::Vector2d away = -miss.cwiseProduct(counted);
+  if (away.norm() < options_.direct_hit * size.height) {
     // A direct hit has no side. Across the line of sight, away from where the thing is; straight ahead: to the right.
-    const Eigen::Vector2d seen = Eigen::Vector2d(x.last, y.last) - center;
+    const Eigen::Vector2d seen = (Eigen::Vector2d(x.last, y.last) - center).cwiseProduct(counted);
     away = seen.norm() < 1.0 ? Eigen::Vector2d::UnitX() : Eigen::Vector2d(-seen);
   }
   result.safe_direction = away.normalized();

@@ -74,9 +74,9 @@ GapDetectionOptions::GapDetectionOptions() {
   map.smooth_px = 2.0;
   map.border_px = 20;
   map.rule = ThresholdRule::kFixed;
-  map.fixed = 0.65;
-  map.open_px = 5;
-  map.close_px = 9;
+  map.fixed = 0.35;
+  map.open_px = 0;
+  map.close_px = 41;
   map.min_area = 0.005;
   map.max_area = 0.5;
 }

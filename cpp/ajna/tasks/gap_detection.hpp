@@ -11,9 +11,9 @@ namespace ajna::tasks {
 
 struct GapDetectionOptions {
   MapOptions map;               ///< closing joins the rim and the inside of a gap
-  double min_contrast = 1.1;    ///< mean inside over mean in a ring about the region, or the other way round
-  bool certain = true;          ///< a region more certain than its ring may be a gap, too: what is seen through it is
-                                ///< further away, and moves less than the wall
+  double min_contrast = 1.25;   ///< mean inside over mean in a ring about the region, or the other way round
+  bool certain = false;         ///< a region more certain than its ring may be a gap, too: what is seen through it is
+                                ///< further away, and moves less than the wall; for pairs that are not aligned
   double ring = 0.25;           ///< width of that ring, as a share of the region's diameter
   double min_solidity = 0.55;   ///< region area over hull area: a gap is no scatter of branches
   double min_thickness = 0.25;  ///< inscribed over equal-area diameter: nor a line

@@ -79,7 +79,8 @@ double navigation_weight(WeightRule rule, double y_close, double y_other, double
 NavigateOptions::NavigateOptions() {
   map.smooth_px = 2.0;
   map.open_px = 3;
-  map.close_px = 25;
+  map.close_px = 15;
+  map.fill_holes = false;
   map.max_area = 1.0;
 }
 
@@ -91,6 +92,9 @@ void validate(const NavigateOptions& options) {
   }
   if (!(options.delta >= 0.0 && options.floor > 0.0 && options.blocked > 0.0)) {
     throw_invalid("navigate options: give delta of at least 0 and a positive floor and blocked");
+  }
+  if (!(options.keep >= 1.0)) {
+    throw_invalid("navigate options: give keep of at least 1");
   }
   if (options.directions < 1 || options.directions > 64) {
     throw_invalid("navigate options: give directions from 1 to 64");
@@ -110,6 +114,7 @@ NavigatePipeline::NavigatePipeline(const NavigateOptions& options) : options_(op
 void NavigatePipeline::reset() noexcept {
   clock_.reset();
   last_s_.reset();
+  last_free_px_.reset();
 }
 
 NavigateResult NavigatePipeline::step(const cv::Mat& map, double time_s, const Eigen::Vector3d& goal_direction,
@@ -125,11 +130,9 @@ NavigateResult NavigatePipeline::step(const cv::Mat& map, double time_s, const E
   }
   const double dt_s = order == FrameOrder::kNext ? time_s - *last_s_ : 0.0;
   last_s_ = time_s;
-  result.steps = find_regions(map, options_.map);
-  if (result.steps.status == MapStatus::kInvalidInput) {
+  if (!is_valid_map(map)) {
     return result;
   }
-
   const auto camera = geometry::Camera::from_horizontal_fov(map.cols, map.rows, options_.horizontal_fov_rad);
   const bool turns = angular_velocity_rad_s && angular_velocity_rad_s->allFinite() && dt_s > 0.0;
   const Eigen::Vector3d omega = turns ? *angular_velocity_rad_s : Eigen::Vector3d::Zero();
@@ -140,6 +143,8 @@ NavigateResult NavigatePipeline::step(const cv::Mat& map, double time_s, const E
                     std::clamp(result.goal_px.y(), 0.0, map.rows - 1.0)};
   result.free_px = result.goal_px;
   result.window = window_about(result.goal_px, map.size(), options_);
+  // The window alone tells near from far: the ground below it is nearer than anything that is flown into.
+  result.steps = find_regions(map, options_.map, result.window);
 
   if (result.steps.status == MapStatus::kFlat) {
     // Equal everywhere: nothing near, or nothing to be seen at all. The level tells.
@@ -151,7 +156,7 @@ NavigateResult NavigatePipeline::step(const cv::Mat& map, double time_s, const E
   // What stands out but is weak in absolute terms is no obstacle.
   cv::Mat unsafe = result.steps.mask & (result.steps.scalar > 0.5 * options_.floor);
   const double level = map_quantile(result.steps.scalar(result.window), 0.25);
-  result.free = largest_free_space(unsafe, result.window);
+  result.free = largest_free_space(unsafe, result.window, last_free_px_, options_.keep);
   const bool fits = result.free.found && result.free.area_px >= options_.min_free_area * result.window.area() &&
                     result.free.clearance_px >= options_.min_clearance * map.cols;
   weigh(result);
@@ -161,6 +166,7 @@ NavigateResult NavigatePipeline::step(const cv::Mat& map, double time_s, const E
     return result;
   }
   result.free_px = {result.free.center_px.x, result.free.center_px.y};
+  last_free_px_ = result.free.center_px;
   result.free_direction =
       geometry::body_from_camera(camera.ray(geometry::rotate_pixel(camera, result.free_px, omega, dt_s)));
   result.status = NavigateStatus::kOk;

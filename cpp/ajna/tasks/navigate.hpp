@@ -29,14 +29,16 @@ const char* to_string(WeightRule rule) noexcept;
 double navigation_weight(WeightRule rule, double y_close, double y_other, double y_free, double floor);
 
 struct NavigateOptions {
-  MapOptions map;              ///< closing joins the two rims of a trunk, and must not close what one flies through
+  MapOptions map;              ///< closing joins the two rims of a trunk, and must not close what one flies through; nor is
+                               ///< what uncertainty surrounds filled: straight ahead nothing moves, and all around does
   double window_width = 0.7;   ///< neighbourhood of the goal, as a share of the image's width
-  double window_height = 0.6;  ///< and of its height
+  double window_height = 0.4;  ///< and of its height
   WeightRule weight = WeightRule::kLimits;
   double delta = 0.15;              ///< the second most unsafe region is further by this share at least (Eq. 6's delta)
   int directions = 9;               ///< columns of the window in which Z_o,i is read; as many rows as make them square
   double floor = 0.3;               ///< uncertainty, in units of the map, below which nothing is near
   double blocked = 4.0;             ///< a window uncertain throughout, at or above this level, is a wall (or blindness)
+  double keep = 2.0;                ///< the free space of the last frame is left for one this many times as large only
   double min_free_area = 0.04;      ///< smallest free space, as a share of the window
   double min_clearance = 0.03;      ///< smallest clearance about its centre, as a share of the image's width
   double horizontal_fov_rad = 1.2;  ///< of the camera
@@ -83,6 +85,7 @@ class NavigatePipeline {
   NavigateOptions options_;
   FrameClock clock_;
   std::optional<double> last_s_;
+  std::optional<cv::Point2d> last_free_px_;
 };
 
 }  // namespace ajna::tasks

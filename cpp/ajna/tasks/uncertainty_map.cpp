@@ -32,9 +32,12 @@ void clear_border(cv::Mat& mask, int border_px) {
   }
 }
 
-cv::Mat inside_border(const cv::Mat& map, int border_px) {
+/// The part of `map` that lies in `counted` (all of it where that is empty) and inside the border.
+cv::Mat inside_border(const cv::Mat& map, int border_px, const cv::Rect& counted) {
   const int b = std::min({border_px, (map.rows - 1) / 2, (map.cols - 1) / 2});
-  return map(cv::Rect(b, b, map.cols - 2 * b, map.rows - 2 * b));
+  const cv::Rect inner(b, b, map.cols - 2 * b, map.rows - 2 * b);
+  const cv::Rect part = counted & inner;
+  return map(part.empty() ? inner : part);
 }
 
 /// Components of `mask` with their statistics over `scalar`.
@@ -246,7 +249,7 @@ cv::Mat morphology(const cv::Mat& mask, int open_px, int close_px, bool fill_hol
   return result;
 }
 
-MapSteps find_regions(const cv::Mat& map, const MapOptions& options) {
+MapSteps find_regions(const cv::Mat& map, const MapOptions& options, const cv::Rect& counted) {
   validate(options);
   MapSteps steps;
   if (!is_valid_map(map)) {
@@ -265,9 +268,9 @@ MapSteps find_regions(const cv::Mat& map, const MapOptions& options) {
     cv::boxFilter(steps.scalar, background, CV_32F, {side, side}, {-1, -1}, true, cv::BORDER_REFLECT);
     relief = steps.scalar - background;
   }
-  const cv::Mat counted = inside_border(relief, options.border_px);
-  steps.low = map_quantile(counted, options.low_quantile);
-  steps.high = map_quantile(counted, options.high_quantile);
+  const cv::Mat sample = inside_border(relief, options.border_px, counted);
+  steps.low = map_quantile(sample, options.low_quantile);
+  steps.high = map_quantile(sample, options.high_quantile);
   const double range = steps.high - steps.low;
   // All-equal maps differ by rounding after smoothing: their range is no range.
   double largest = 0.0;
@@ -279,7 +282,7 @@ MapSteps find_regions(const cv::Mat& map, const MapOptions& options) {
   relief.convertTo(steps.normalized, CV_32F, 1.0 / range, -steps.low / range);
   cv::max(steps.normalized, 0.0, steps.normalized);
   cv::min(steps.normalized, 1.0, steps.normalized);
-  steps.threshold = threshold_of(inside_border(steps.normalized, options.border_px), options);
+  steps.threshold = threshold_of(inside_border(steps.normalized, options.border_px, counted), options);
   cv::compare(steps.normalized, steps.threshold, steps.raw_mask, cv::CMP_GT);
   clear_border(steps.raw_mask, options.border_px);
   steps.mask = morphology(steps.raw_mask, options.open_px, options.close_px, options.fill_holes);
@@ -288,7 +291,8 @@ MapSteps find_regions(const cv::Mat& map, const MapOptions& options) {
   return steps;
 }
 
-FreeSpace largest_free_space(const cv::Mat& unsafe, const cv::Rect& window) {
+FreeSpace largest_free_space(const cv::Mat& unsafe, const cv::Rect& window, const std::optional<cv::Point2d>& before,
+                             double keep) {
   require(unsafe.type() == CV_8U && !unsafe.empty(), "free space: give a mask of 8-bit pixels");
   FreeSpace space;
   space.mask = cv::Mat::zeros(unsafe.size(), CV_8U);
@@ -301,10 +305,18 @@ FreeSpace largest_free_space(const cv::Mat& unsafe, const cv::Rect& window) {
   cv::Mat stats;
   cv::Mat centroids;
   const int count = cv::connectedComponentsWithStats(free, labels, stats, centroids, 4, CV_32S);
+  int kept = 0;
+  if (before) {
+    const cv::Point inside(cvRound(before->x) - part.x, cvRound(before->y) - part.y);
+    kept = cv::Rect(0, 0, part.width, part.height).contains(inside) ? labels.at<int>(inside) : 0;
+  }
   int best = 0;
+  double best_area = 0.0;
   for (int k = 1; k < count; ++k) {
-    if (best == 0 || stats.at<int>(k, cv::CC_STAT_AREA) > stats.at<int>(best, cv::CC_STAT_AREA)) {
+    const double area = stats.at<int>(k, cv::CC_STAT_AREA) * (k == kept ? keep : 1.0);
+    if (area > best_area) {
       best = k;
+      best_area = area;
     }
   }
   if (best == 0) {

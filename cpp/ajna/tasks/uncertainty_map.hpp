@@ -2,6 +2,7 @@
 #pragma once
 
 #include <opencv2/core.hpp>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -96,7 +97,8 @@ double threshold_of(const cv::Mat& normalized, const MapOptions& options);
 cv::Mat morphology(const cv::Mat& mask, int open_px, int close_px, bool fill_holes);
 
 /// All steps. Throws Error(kInvalidArgument) for options out of range; a map that cannot be used is a status.
-MapSteps find_regions(const cv::Mat& map, const MapOptions& options = {});
+/// counted: the part of the map, less the border, that sets normalisation and threshold; empty: all of it.
+MapSteps find_regions(const cv::Mat& map, const MapOptions& options = {}, const cv::Rect& counted = {});
 
 /// The largest connected space without uncertain pixels.
 struct FreeSpace {
@@ -106,7 +108,9 @@ struct FreeSpace {
   double clearance_px = 0.0;  ///< from center_px to the nearest uncertain pixel (or the window's edge)
   cv::Mat mask;               ///< CV_8U, whole image
 };
-/// unsafe: CV_8U, not 0 where uncertain; window: where to look, clipped to the image.
-FreeSpace largest_free_space(const cv::Mat& unsafe, const cv::Rect& window);
+/// unsafe: CV_8U, not 0 where uncertain; window: where to look, clipped to the image. The space that `before` lies in counts
+/// as `keep` times its area, so that two of like size do not take turns.
+FreeSpace largest_free_space(const cv::Mat& unsafe, const cv::Rect& window,
+                             const std::optional<cv::Point2d>& before = std::nullopt, double keep = 1.0);
 
 }  // namespace ajna::tasks

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ajna.cli.options import JsonOption
+from ajna.cli.options import DeviceOption, JsonOption, ModelOption
 from ajna.cli.outputs import check_folder, staged_folder
 
 study = typer.Typer(
@@ -23,7 +23,7 @@ study = typer.Typer(
 
 @study.callback()
 def _group() -> None:
-    """Keeps ``loss`` a subcommand, though it is the only one."""
+    """Keeps each study a subcommand."""
 
 
 @study.command()
@@ -113,3 +113,131 @@ def _print(result: Any) -> None:
     console.print(f"all claims hold ({result.seconds:.0f} s)" if not failures else f"claims that fail: {len(failures)}")
     for text in failures:
         console.print(f"  {escape(text)}")
+
+
+@study.command()
+def robustness(
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for robustness.md, robustness.json and two pictures in images/."),
+    ] = None,
+    model: ModelOption = "best",
+    scenes: Annotated[int, typer.Option(min=2, help="Number of scenes, each with textures of its own.")] = 120,
+    patch_steps: Annotated[
+        int, typer.Option(min=0, help="Steps of the attack that makes a patch; 0: without patches.")
+    ] = 120,
+    surrogate: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Another checkpoint: a patch made against it is shown to the model."),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of scenes, disturbances and patches.")] = 0,
+    size: Annotated[str, typer.Option(help="WIDTHxHEIGHT of the scenes.")] = "320x240",
+    device: DeviceOption = "cpu",
+    as_json: JsonOption = False,
+) -> None:
+    """Do boundaries dominate the uncertainty under lamps, low texture, noise, rain, ... and an adversarial patch?
+
+    The full run takes about a quarter of an hour on one core; --scenes 6 --patch-steps 5 shows what it does.
+
+    Example: ajna study robustness --scenes 120 --out result
+    """
+    from ajna.cli.options import parse_size
+    from ajna.studies.robustness import RobustnessOptions
+
+    if out is not None:
+        check_folder(out)
+    wanted = parse_size(size)
+    assert wanted is not None
+    options = RobustnessOptions(scenes, seed, *wanted)
+    result, patches, network = _measure_robustness(model, device, options, patch_steps, surrogate)
+    record = json.dumps(result.record(), indent=2)
+    if out is not None:
+        _write_robustness(out, result, patches, network, record)
+    if as_json:
+        typer.echo(record)
+    else:
+        _print_robustness(result)
+
+
+def _measure_robustness(model: str, device: str, options: Any, patch_steps: int, surrogate: Path | None) -> Any:
+    import time
+
+    from rich.console import Console
+    from rich.progress import Progress
+
+    import ajna
+    from ajna.model import checkpoint_path
+    from ajna.studies import robustness as study_of
+    from ajna.studies.disturbances import Patch, make_scene
+    from ajna.studies.patch_attack import AttackOptions, random_patch, train_patch
+
+    start = time.perf_counter()
+    network = ajna.load(model, device=device)
+    attacks: dict[str, Path] = {}
+    notes = []
+    if patch_steps:
+        attacks["patch, white box"] = checkpoint_path(model)
+        if surrogate is not None:
+            if not surrogate.is_file():
+                raise FileNotFoundError(f"surrogate '{surrogate}' does not exist: give the file of a checkpoint")
+            attacks["patch, transferred"] = checkpoint_path(surrogate)
+        else:
+            notes.append("a patch made against another network, as no --surrogate was given")
+    else:
+        notes.append("patches, as --patch-steps is 0")
+    patches: dict[str, Patch] = {}
+    with Progress(console=Console(stderr=True), disable=not sys.stderr.isatty()) as bar:
+        if attacks:
+            attack = AttackOptions(steps=patch_steps, seed=options.seed)
+            patches["patch, random"] = random_patch(attack.side, options.seed)
+            # Scenes beyond those that are judged.
+            numbers = range(options.scenes, options.scenes + options.attacked)
+            training = [make_scene(n, options.seed, options.width, options.height) for n in numbers]
+            for name, checkpoint in attacks.items():
+                task = bar.add_task(name, total=1.0)
+
+                def advance(share: float, task: Any = task) -> None:
+                    bar.update(task, completed=share)
+
+                patches[name] = train_patch(checkpoint, training, attack, advance)
+        scenes = bar.add_task("scenes", total=1.0)
+        conditions = study_of.run(
+            network, options, list(patches.items()), progress=lambda share: bar.update(scenes, completed=share)
+        )
+    seconds = time.perf_counter() - start
+    return study_of.RobustnessStudy(options, network.info.name, conditions, notes, seconds), patches, network
+
+
+def _write_robustness(out: Path, result: Any, patches: dict[str, Any], network: Any, record: str) -> None:
+    from PIL import Image
+
+    from ajna.studies.robustness_report import draw, examples, markdown
+
+    with staged_folder(out) as stage, staged_folder(out / "images") as pictures:
+        page = markdown(result, "images/robustness.png", "images/robustness_examples.jpg")
+        (stage / "robustness.md").write_text(page, encoding="utf-8")
+        (stage / "robustness.json").write_text(record + "\n", encoding="utf-8")
+        Image.fromarray(draw(result)).save(pictures / "robustness.png", optimize=True)
+        sheet = examples(network, result.options, patches)
+        Image.fromarray(sheet).save(pictures / "robustness_examples.jpg", quality=88)
+
+
+def _print_robustness(result: Any) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=f"uncertainty over {result.options.scenes} scenes: medians, 95 % intervals")
+    keys = ("boundary", "flat", "textured", "touched", "over_flat", "above_flat_share", "auc", "change_px")
+    for column in ("disturbance", *keys):
+        table.add_column(column)
+    for condition in result.conditions:
+        record = condition.record()
+        cells = []
+        for key in keys:
+            value, interval = record[key], record[f"{key}_ci"]
+            cells.append("–" if value is None else f"{value:.2f} [{interval[0]:.2f}, {interval[1]:.2f}]")
+        table.add_row(condition.name, *cells)
+    console = Console(width=None if sys.stdout.isatty() else 220)
+    console.print(table)
+    for note in result.notes:
+        console.print(f"not measured: {note}")

@@ -220,7 +220,11 @@ def _gap(stamped: Iterator[Stamped], network: Any, fov_rad: float) -> Iterator[A
     reference: Any = None
     shown: Any = None  # the last stacked map: while tracking there is no new one
     for index, (time_s, name, frame) in enumerate(stamped):
-        uncertainty = network(reference, frame, time_s).uncertainty if pipeline.wants_map else None
+        uncertainty = None
+        if pipeline.wants_map:
+            # Without the motion of the wall: what is seen through the gap then moves before a wall at rest.
+            aligned = tasks.align_to(reference, frame)
+            uncertainty = aligned.within(network(reference, aligned.image, time_s).uncertainty)
         result = pipeline.step(frame, uncertainty, time_s)
         shown = shown if result.stacked is None else result.stacked
         if index == 0 or result.status == "no_gap":

@@ -29,6 +29,12 @@ class PaperRow:
     mparameters: float | None = None
 
 
+# What flies by the paper's pipelines, beside the paper's own row.
+_OURS = (
+    PaperRow("ajna-8hz", "Ajna, planning at 8 Hz"),
+    PaperRow("ajna-true-flow", "Ajna on true flow (upper bound)"),
+    PaperRow("ajna-true-flow-8hz", "Ajna on true flow, planning at 8 Hz"),
+)
 _AJNA = {"run_time_ms": 10.1, "gflops": 6.3, "mparameters": 2.7}
 _OCCMASK = {"run_time_ms": 31.4, "gflops": 62.7, "mparameters": 20.6}
 _MIDAS_S = {"gflops": 43.7, "mparameters": 21.1}
@@ -44,7 +50,8 @@ def _room(success_percent: float) -> tuple[PaperRow, ...]:
         PaperRow("midas-s", "MiDaS-S", **_MIDAS_S),
         PaperRow("midas", "MiDaS", **_MIDAS),
         PaperRow("occmask", "OccMask"),
-        PaperRow(None, "Ajna", None, success_percent, **_AJNA),
+        PaperRow("ajna", "Ajna", None, success_percent, **_AJNA),
+        *_OURS,
     )
 
 
@@ -60,7 +67,8 @@ EXPERIMENTS: dict[str, tuple[PaperRow, ...]] = {
         PaperRow("events", "event density"),
         PaperRow("occmask", "OccMask", 74.8, **_OCCMASK),
         PaperRow("morpheyes", "MorphEyes"),
-        PaperRow(None, "Ajna", 89.2, 83.3, **_AJNA),
+        PaperRow("ajna", "Ajna", 89.2, 83.3, **_AJNA),
+        *_OURS,
     ),
     "gap": (
         PaperRow("depth", "true depth"),
@@ -73,7 +81,8 @@ EXPERIMENTS: dict[str, tuple[PaperRow, ...]] = {
         PaperRow("midas", "MiDaS", 30.1, run_time_ms=137.8, **_MIDAS),
         PaperRow("occmask", "OccMask", 56.2, **_OCCMASK),
         PaperRow("morpheyes", "MorphEyes"),
-        PaperRow(None, "Ajna", 91.0, **_AJNA),
+        PaperRow("ajna", "Ajna", 91.0, **_AJNA),
+        *_OURS,
     ),
     "forest": (
         PaperRow("depth", "true depth"),
@@ -82,7 +91,8 @@ EXPERIMENTS: dict[str, tuple[PaperRow, ...]] = {
         PaperRow("midas", "MiDaS", None, 97.0, 1.0, 1.1, 139.2, **_MIDAS),
         PaperRow("occmask", "OccMask", None, 0.0, None, 40.0, 35.3, 62.7, 20.6),
         PaperRow("d435i", "D435i"),
-        PaperRow(None, "Ajna", None, 92.0, 2.7, 4.1, 11.6, 6.3, 2.7),
+        PaperRow("ajna", "Ajna", None, 92.0, 2.7, 4.1, 11.6, 6.3, 2.7),
+        *_OURS,
     ),
     "indoor-forest": _room(86.0),
     "boxes": _room(82.0),
@@ -95,6 +105,8 @@ EXPERIMENTS: dict[str, tuple[PaperRow, ...]] = {
         PaperRow("mask-rcnn", "Mask R-CNN"),
         PaperRow("pointrend", "PointRend"),
         PaperRow("occmask", "OccMask"),
+        PaperRow("ajna", "Ajna", **_AJNA),
+        _OURS[1],
     ),
 }
 

@@ -34,6 +34,8 @@ class EpisodeResult:
     reason: goal, missed (the object), seen (the pile), collision, outside, or time.
     detection_iou: of the mask with the true one on the frame on which the method acted; 0: it never did.
     safe_point_error_px: mean distance of the method's point from the one that true depth gives on the same frame.
+    decided_s: time of the frame on which the method first acted on a detection; None: it never did.
+    best_iou: the largest on any frame from then on.
     path: (t, x, y, z) once a frame.
     """
 
@@ -52,6 +54,8 @@ class EpisodeResult:
     safe_point_error_px: float | None = None
     detection_iou: float | None = None
     run_time_ms: float | None = None
+    decided_s: float | None = None
+    best_iou: float | None = None
     path: list[tuple[float, ...]] = field(default_factory=list)
 
     def to_json(self) -> dict[str, Any]:
@@ -163,22 +167,29 @@ def _fly(world: World, method: Method, renderer: Renderer, watch: Watcher | None
     errors: list[float] = []
     run_times: list[float] = []
     iou: float | None = None if world.task == "navigate" else 0.0
+    decided_s: float | None = None
+    best_iou = iou
     while reason is None:
         frame = flight.advance(command)
         observation = flight.observe(frame)
         _prepare(frame, method)
         start = time.perf_counter()
         output = method(observation)
-        run_times.append(time.perf_counter() - start)
+        elapsed = time.perf_counter() - start
+        if output.planned:
+            run_times.append(elapsed)
         command = output.command
         if judge is not None:
             ideal = judge(observation).point_px
             if ideal is not None and output.point_px is not None:
                 errors.append(float(np.hypot(*np.subtract(ideal, output.point_px))))
-        if output.decided and output.mask is not None:
+        if output.decided and decided_s is None:
+            decided_s = frame.time_s
+        if best_iou is not None and decided_s is not None and output.mask is not None:
             truth = true_mask(world, frame)
             if truth is not None:
-                iou = intersection_over_union(output.mask, truth)
+                here = intersection_over_union(output.mask, truth)
+                iou, best_iou = (here if output.decided else iou), max(best_iou, here)
         if watch is not None:
             watch(observation, output)
         reason = _outcome(world, flight)
@@ -193,12 +204,14 @@ def _fly(world: World, method: Method, renderer: Renderer, watch: Watcher | None
         touched=flight.collision,
         variant=_variant(world),
         duration_s=flight.time_s,
-        frames=len(run_times),
+        frames=len(flight.path) - 1,
         path_length_m=length,
         mean_speed_m_s=length / flight.time_s,
         safe_point_error_px=float(np.mean(errors)) if errors else None,
         detection_iou=iou,
-        run_time_ms=1e3 * float(np.median(run_times)),
+        run_time_ms=1e3 * float(np.median(run_times)) if run_times else None,
+        decided_s=decided_s,
+        best_iou=best_iou,
         path=[tuple(round(v, 4) for v in point) for point in flight.path],
     )
 

@@ -70,13 +70,15 @@ class Output:
 
     mask: bool [H, W]: the obstacle, the thrown object, the gap, the pile, by task; None: no answer yet.
     point_px: where the vehicle should head (safe point), (x, y) in pixels.
-    command: for the vehicle. decided: this is the frame on which a detection was acted on.
+    command: for the vehicle. decided: this is the frame on which a detection was acted on. planned: whether the method
+    looked at this frame at all; where not, its run time does not count.
     """
 
     mask: NDArray[np.bool_] | None = None
     point_px: tuple[float, float] | None = None
     command: Command = field(default_factory=Command)
     decided: bool = False
+    planned: bool = True
 
 
 class Method(Protocol):

@@ -3,47 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
+from ajna.bootstrap import bootstrap_interval
 from ajna.sim.episode import DETECTION_IOU, EpisodeResult
 
 __all__ = ["bootstrap_interval", "summarize"]
-
-_RESAMPLES = 2000
-Floats = NDArray[np.float64]
-
-
-def bootstrap_interval(
-    values: ArrayLike,
-    level: float = 0.95,
-    statistic: Callable[[Floats], Floats] = lambda samples: samples.mean(axis=-1),
-    resamples: int = _RESAMPLES,
-    seed: int = 0,
-) -> tuple[float, float]:
-    """Percentile bootstrap interval of a statistic (by default the mean) of independent trials.
-
-    Where all values are equal it has no width; the number of trials stands beside it in every table for that reason.
-
-    Args:
-        values: one number per trial [N].
-        statistic: from [..., N] to [...].
-
-    Raises:
-        ValueError: for no values, or a level outside (0, 1).
-    """
-    sample = np.asarray(values, dtype=np.float64).ravel()
-    if sample.size == 0:
-        raise ValueError("a confidence interval needs at least one trial")
-    if not 0 < level < 1:
-        raise ValueError(f"confidence level {level} is outside (0, 1): give for example 0.95")
-    random = np.random.default_rng(seed)
-    drawn = statistic(sample[random.integers(0, sample.size, (resamples, sample.size))])
-    low, high = np.quantile(drawn, [(1 - level) / 2, (1 + level) / 2])
-    return float(low), float(high)
 
 
 def _entry(record: dict[str, Any], key: str, values: Sequence[float | None], scale: float = 1.0) -> None:
@@ -56,7 +24,8 @@ def summarize(results: Sequence[EpisodeResult]) -> dict[str, Any]:
     """The figures of one method in one world; each rate and mean has its 95 % interval beside it under ``..._ci``.
 
     success_rate: in [0, 1]. mean_speed_m_s: over successful trials. path_increase_percent: over trials in which both
-    the method and true depth reached the goal. detection_rate: share of trials with IoU >= 0.5.
+    the method and true depth reached the goal. detection_rate: share of trials with IoU >= 0.5 on the frame that was
+    acted on; detection_rate_best: on any frame from then on.
     safe_point_error_px: mean over trials of their mean. run_time_ms: median over trials (its interval, too).
 
     Raises:
@@ -77,6 +46,8 @@ def summarize(results: Sequence[EpisodeResult]) -> dict[str, Any]:
     ious = [r.detection_iou for r in results if r.detection_iou is not None]
     _entry(record, "detection_rate", [float(iou >= DETECTION_IOU) for iou in ious])
     _entry(record, "detection_iou", ious)
+    best = [r.best_iou for r in results if r.best_iou is not None]
+    _entry(record, "detection_rate_best", [float(iou >= DETECTION_IOU) for iou in best])
     times = [r.run_time_ms for r in results if r.run_time_ms is not None]
     record["run_time_ms"] = float(np.median(times)) if times else None
     record["run_time_ms_ci"] = (

@@ -13,8 +13,9 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from ajna.model import checkpoint_path
 from ajna.sim.episode import EpisodeResult, run_episode
-from ajna.sim.methods import make_method
+from ajna.sim.methods import METHODS, make_method
 from ajna.sim.worlds import make_world
 
 __all__ = ["TrialPlan", "load_trial", "run_trials", "trial_path", "write_json"]
@@ -69,6 +70,8 @@ def _settings(plan: TrialPlan) -> dict[str, Any]:
     if plan.weights is not None:
         stat = plan.weights.stat()
         weights = [plan.weights.name, stat.st_size, int(stat.st_mtime)]
+    elif plan.method in METHODS and METHODS[plan.method].takes_checkpoint:
+        weights = [checkpoint_path("best").name]  # the hash is in it: another shipped model flies anew
     return {"format": _FORMAT, "world": plan.world, "method": plan.method, "weights": weights,
             "network_size": list(plan.network_size) if plan.network_size else None}  # fmt: skip
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The reference methods, by name."""
+"""The methods by name: Ajna, the same on the true flow, and the reference methods."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ from typing import Any
 
 from ajna import _core
 from ajna.sim.methods.adapter import InstanceMasks, MonocularDepth, Network
-from ajna.sim.methods.base import Perception, PilotedMethod
+from ajna.sim.methods.base import PilotedMethod
 from ajna.sim.methods.blind import Blind
 from ajna.sim.methods.depth import D435iSensor, DepthPerception, StereoSensor, TrueDepthSensor
 from ajna.sim.methods.events import EventPerception
 from ajna.sim.methods.flow import GapFlyt, OcclusionMask
+from ajna.sim.methods.signals import NetworkSignal, TrueFlowSignal
+from ajna.sim.methods.skills import PAPERS_VEHICLE, SkillMethod, Timing
 
 __all__ = ["METHODS", "MethodInfo", "make_method"]
 
@@ -23,17 +25,27 @@ __all__ = ["METHODS", "MethodInfo", "make_method"]
 class MethodInfo:
     """A method's name in the paper, what it does, and how to make what it sees with.
 
-    ``needs_weights``: ``make`` takes a :class:`Network` of the user's.
+    ``needs_weights``: ``make`` takes a :class:`Network` of the user's. ``timing``: of a method that flies by Ajna's
+    pipelines and policies; ``make`` then gives its signal instead of a perception. ``takes_checkpoint``: ``make`` takes
+    a model file of Ajna's, or None for the shipped one.
     """
 
     title: str
     tasks: frozenset[str]
-    make: Callable[..., Perception]
+    make: Callable[..., Any]
     needs_weights: bool = False
+    timing: Timing | None = None
+    takes_checkpoint: bool = False
 
 
 _ALL = frozenset({"navigate", "gap", "dodge", "pile"})
 METHODS: dict[str, MethodInfo] = {
+    "ajna": MethodInfo("Ajna", _ALL, NetworkSignal, timing=Timing(), takes_checkpoint=True),
+    "ajna-8hz": MethodInfo(
+        "Ajna, at the paper's 8 Hz", _ALL, NetworkSignal, timing=PAPERS_VEHICLE, takes_checkpoint=True
+    ),
+    "ajna-true-flow": MethodInfo("Ajna on true flow", _ALL, TrueFlowSignal, timing=Timing()),
+    "ajna-true-flow-8hz": MethodInfo("Ajna on true flow, at 8 Hz", _ALL, TrueFlowSignal, timing=PAPERS_VEHICLE),
     "depth": MethodInfo("true depth", _ALL, lambda: DepthPerception(TrueDepthSensor)),
     "d435i": MethodInfo("D435i (model)", _ALL, lambda: DepthPerception(D435iSensor)),
     "morpheyes": MethodInfo("MorphEyes (SGBM)", _ALL, lambda: DepthPerception(StereoSensor)),
@@ -50,7 +62,10 @@ METHODS: dict[str, MethodInfo] = {
 
 
 def make_method(name: str, weights: str | Path | None = None, size: tuple[int, int] | None = None) -> Any:
-    """A method by name. ``weights``, ``size``: file and (height, width) of the network of a method that takes one.
+    """A method by name.
+
+    ``weights``, ``size``: file and (height, width) of the network of a method that takes one; for ``ajna`` a model
+    file, None being the shipped one.
 
     Raises:
         ValueError: an unknown name (the nearest is named), weights missing, or given where none are used.
@@ -65,6 +80,10 @@ def make_method(name: str, weights: str | Path | None = None, size: tuple[int, i
         if weights is None:
             raise ValueError(f"method '{name}' needs a network: give its TorchScript or ONNX file by --weights FILE")
         return PilotedMethod(name, info.make(Network(weights, size)))
+    if info.takes_checkpoint:
+        return SkillMethod(name, info.make(weights), info.timing)
     if weights is not None:
         raise ValueError(f"method '{name}' takes no weights: leave --weights away")
+    if info.timing is not None:
+        return SkillMethod(name, info.make(), info.timing)
     return PilotedMethod(name, info.make())

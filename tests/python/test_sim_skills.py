@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: MIT
+"""Ajna in the loop of the simulation: true occlusion as a signal, timing, and a short trial of each skill."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+pytest.importorskip("cv2")
+
+import ajna
+from ajna.sim import Frame, make_method, make_world, occlusion_and_flow
+from ajna.sim.benchmark import EXPERIMENTS
+from ajna.sim.camera import CameraModel
+from ajna.sim.episode import run_episode, true_mask
+from ajna.sim.gl import NoRenderingError, rendering_backend
+from ajna.sim.methods import METHODS
+from ajna.sim.methods.signals import occlusion_jump
+from ajna.sim.methods.skills import PAPERS_VEHICLE, SkillMethod, Timing
+from ajna.sim.observation import Observation, TaskSetup
+from ajna.sim.render import Renderer
+from ajna.sim.trials import TrialPlan, _settings
+
+try:
+    rendering_backend()
+except NoRenderingError as error:
+    pytest.skip(str(error), allow_module_level=True)
+
+needs_model = pytest.mark.skipif(not ajna.model.models(), reason="this build ships no model")
+
+
+def test_occlusion_jump_marks_what_moves_on_both_sides() -> None:
+    camera = CameraModel(width=160, height=120)
+    world = make_world("dodge", 0, camera)
+    with Renderer(world.model, camera) as renderer:
+        before, later = world.initial_qpos(), world.initial_qpos()
+        before[7:10], later[7:10] = [2.0, 0.3, 1.6], [2.0, 0.0, 1.6]
+        first, second = (Frame(renderer, [state], i, 0.0, 0) for i, state in enumerate((before, later)))
+        jump = occlusion_jump(first, second)
+        still = occlusion_jump(first, Frame(renderer, [before], 1, 0.0, 0))
+        thrown = true_mask(world, first)
+        _, flow = occlusion_and_flow(first, second)
+    assert not still.any()
+    speed = np.median(np.linalg.norm(flow[thrown], axis=1))
+    assert speed > 8
+    assert np.median(jump[jump > 0]) == pytest.approx(speed, rel=0.1)  # the background stands still
+    assert (jump[thrown] > 0).any() and (jump[~thrown] > 0).any()
+    rows, columns = np.nonzero(jump)
+    assert np.ptp(columns) < np.ptp(np.nonzero(thrown)[1]) + 2.2 * speed and np.ptp(rows) < 20
+
+
+def test_timing_in_frames() -> None:
+    assert Timing().in_frames(30.0) == (1, 0)
+    assert PAPERS_VEHICLE.in_frames(30.0) == (4, 2)  # 7.5 Hz; 49 ms are over before the second frame
+    with pytest.raises(ValueError, match="rate"):
+        Timing(rate_hz=0.0).in_frames(30.0)
+    with pytest.raises(ValueError, match="latency"):
+        Timing(latency_s=-0.1).in_frames(30.0)
+
+
+def observed(time_s: float) -> Observation:
+    camera = CameraModel()
+    frame = SimpleNamespace(camera=camera, time_s=time_s, rgb=np.zeros((240, 320, 3), np.uint8))
+    level = np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]], float)
+    return Observation(frame, level, np.zeros(3), np.zeros(3), 0.0, 1.5, np.array([20.0, 0, 0]), 1.5)
+
+
+class Disc:
+    """A thing that grows on the right; counts how often it is asked for."""
+
+    needs: frozenset[str] = frozenset()
+
+    def __init__(self) -> None:
+        self.calls = 0
+
+    def __call__(self, first: Observation, second: Observation, common: str = "none") -> np.ndarray:
+        self.calls += 1
+        y, x = np.mgrid[:240, :320]
+        disc = np.hypot(x - 220, y - 120) <= 8 + 90 * first.frame.time_s
+        return np.where(disc, np.float32(1.6), np.float32(0.2)).astype(np.float32)
+
+
+@pytest.mark.parametrize(("timing", "calls", "decided", "moved"), [(Timing(), 11, 3, 3), (PAPERS_VEHICLE, 3, 11, 13)])
+def test_dodge_plans_and_acts_when_its_timing_says(timing: Timing, calls: int, decided: int, moved: int) -> None:
+    """Three detections make a decision; at 8 Hz they lie four frames apart, and the command comes two frames later."""
+    signal = Disc()
+    method = SkillMethod("test", signal, timing)
+    method.reset(TaskSetup("dodge", CameraModel(), 0.0, 0.25, 0))
+    outputs = [method(observed(i / 30)) for i in range(12)]
+    assert signal.calls == calls
+    assert [output.planned for output in outputs].count(True) == calls + (timing.rate_hz is None)
+    assert [i for i, output in enumerate(outputs) if output.decided] == [decided]
+    outputs += [method(observed(i / 30)) for i in range(12, 15)]
+    sideways = [i for i, output in enumerate(outputs) if output.command.velocity_m_s[1] < -1]
+    assert sideways[0] == moved  # to the left: it is seen on the right
+
+
+def test_hold_keeps_the_place() -> None:
+    method = SkillMethod("test", Disc(), Timing())
+    method.reset(TaskSetup("gap", CameraModel(), 1.5, 0.25, 0))
+    method(observed(0.0))
+    pushed = observed(1 / 30)
+    pushed.displacement_m = np.array([0.2, 0.1, 0.0])  # ahead and to the left, while the skill still waits
+    pushed.velocity_m_s = np.array([1.0, 0.0, 0.0])
+    assert method(pushed).command.velocity_m_s == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
+
+
+def test_methods_and_tables() -> None:
+    for name in ("ajna", "ajna-8hz", "ajna-true-flow", "ajna-true-flow-8hz"):
+        assert METHODS[name].timing is not None
+        assert METHODS[name].takes_checkpoint == (not name.startswith("ajna-true"))
+    for experiment, rows in EXPERIMENTS.items():
+        assert {"ajna", "ajna-true-flow"} <= {row.method for row in rows}, experiment
+    with pytest.raises(ValueError, match="takes no weights"):
+        make_method("ajna-true-flow", "some.safetensors")
+
+
+@needs_model
+def test_results_belong_to_a_model(tmp_path) -> None:
+    plan = TrialPlan("dodge", "ajna", 1, 0, tmp_path)
+    (shipped,) = (path for name, path in ajna.model.models().items() if name == "best")
+    assert _settings(plan)["weights"] == [shipped.name]
+    assert _settings(TrialPlan("dodge", "depth", 1, 0, tmp_path))["weights"] is None
+
+
+def test_true_flow_dodges() -> None:
+    result = run_episode(make_world("dodge", 2), "ajna-true-flow")
+    assert result.success and result.reason == "missed"
+    assert 0.6 < result.decided_s < 0.6 + 0.8
+    assert result.best_iou >= 0.5
+
+
+@needs_model
+def test_network_finds_the_gap() -> None:
+    world = dataclasses.replace(make_world("gap", 1002), time_limit_s=0.9)
+    result = run_episode(world, "ajna")
+    assert result.decided_s is not None and result.detection_iou >= 0.5
+
+
+@needs_model
+def test_network_sets_out_through_the_forest_at_8_hz() -> None:
+    world = dataclasses.replace(make_world("forest", 1), time_limit_s=0.8)
+    seen = []
+    result = run_episode(world, "ajna-8hz", watch=lambda _, output: seen.append(output), reference=False)
+    assert result.reason == "time" and result.path[-1][1] - result.path[0][1] > 0.5
+    planned = [output for output in seen if output.planned]
+    assert len(planned) == len(seen) // 4
+    assert any(output.mask is not None for output in planned)
+    assert any(output.point_px is not None for output in planned)
+    assert math.isfinite(result.safe_point_error_px)
+
+
+def test_true_flow_looks_at_a_pile() -> None:
+    result = run_episode(make_world("pile", 1), "ajna-true-flow")
+    assert result.detection_iou > 0.3
