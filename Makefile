@@ -55,7 +55,6 @@ test: apt-test $(STAMP)/package-test
 	@sh tools/test.sh $(BUILD) $(PY)
 
 lint: apt-test $(STAMP)/package-lint
-	@$(CONFIGURE) > $(BUILD)/configure.log || (cat $(BUILD)/configure.log; false)
 	@sh tools/apt.sh $(APT_LINT)
 	@# clang-tidy wants the command of every single source.
 	@mkdir -p build/lint
