@@ -157,7 +157,8 @@ void bind_align(py::module_& m) {
         return to_numpy(within(map_from(uncertainty, keep, ScalarKind::kNorm), self.valid));
       },
       "uncertainty"_a,
-      "The scalar map float32 [H, W] of a map [H, W] or [H, W, 2] of the aligned pair; what the frame has no pixels for "
+      "The scalar map float32 [H, W] of a map [H, W] or [H, W, 2] of the aligned pair; what the frame has no pixels "
+      "for "
       "gets the median of the rest.");
   m.def(
       "align_to",

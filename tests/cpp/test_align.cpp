@@ -1,12 +1,11 @@
 // SPDX-License-Identifier: MIT
-#include "ajna/tasks/align.hpp"
-
 #include <gtest/gtest.h>
 
 #include <Eigen/Geometry>
 
 #include "ajna/base/error.hpp"
 #include "ajna/geometry/camera.hpp"
+#include "ajna/tasks/align.hpp"
 #include "task_maps.hpp"
 
 namespace ajna::tasks {

@@ -32,15 +32,15 @@ struct Alignment {
   cv::Mat valid;                                          ///< CV_8U, 0 or 255: where the frame has pixels for it
 };
 
-/// Takes the motion that most of the picture has in common out of a pair: the homography of most of the tracked corners,
-/// which is that of the largest plane (a wall), or of a turning camera. What stands out of that plane still moves in the
-/// aligned pair, little, before a background at rest: there a network is at its best.
-/// Throws Error(kInvalidArgument) for views that are no RGB images of one size.
+/// Takes the motion that most of the picture has in common out of a pair: the homography of most of the tracked
+/// corners, which is that of the largest plane (a wall), or of a turning camera. What stands out of that plane still
+/// moves in the aligned pair, little, before a background at rest: there a network is at its best. Throws
+/// Error(kInvalidArgument) for views that are no RGB images of one size.
 Alignment align_to(const ImageView& reference, const ImageView& frame, const AlignOptions& options = {});
 
 /// Takes the camera's turning out of a pair, where an IMU knows it; what is left of the motion shows depth.
-/// reference_from_frame: rotation that turns directions in the frame's camera axes (x right, y down, z forward) into the
-/// reference's. Always found. Throws Error(kInvalidArgument) for a view that is no RGB image, a matrix that is no
+/// reference_from_frame: rotation that turns directions in the frame's camera axes (x right, y down, z forward) into
+/// the reference's. Always found. Throws Error(kInvalidArgument) for a view that is no RGB image, a matrix that is no
 /// rotation, or a field of view that is none.
 Alignment derotate_frame(const ImageView& frame, const Eigen::Matrix3d& reference_from_frame, double horizontal_fov_rad,
                          const AlignOptions& options = {});

@@ -21,18 +21,18 @@ enum class DodgeStatus {
 const char* to_string(DodgeStatus status) noexcept;
 
 struct DodgeOptions {
-  MapOptions map;                   ///< for a small thing before a background that is certain
-  double min_contrast = 1.7;        ///< a region's mean over the mean outside
-  double min_uncertainty = 0.25;    ///< and its mean, in units of the map
-  bool convex = true;               ///< the obstacle is the convex hull of its region: rims are seen before the inside
-  int confirm_frames = 3;           ///< detections in a row that make a direction
-  double gate = 0.25;               ///< how far a detection may lie from where the track expects it, image diagonals
-  double max_gap_s = 0.25;          ///< without a frame for longer, or without a detection, the track is dropped
-  double horizon_s = 0.5;           ///< time to contact where growth does not tell it
-  double min_growth_per_s = 0.3;    ///< growth of the diameter below which it does not
-  double vertical = 0.0;            ///< how much of the vertical motion counts for the safe direction, 0 to 1: thrown things
-                                    ///< rise and fall, which says little of where they hit; 0: sideways only
-  double direct_hit = 0.1;          ///< an impact nearer to the image's centre than this (image heights) has no side
+  MapOptions map;                 ///< for a small thing before a background that is certain
+  double min_contrast = 1.7;      ///< a region's mean over the mean outside
+  double min_uncertainty = 0.25;  ///< and its mean, in units of the map
+  bool convex = true;             ///< the obstacle is the convex hull of its region: rims are seen before the inside
+  int confirm_frames = 3;         ///< detections in a row that make a direction
+  double gate = 0.25;             ///< how far a detection may lie from where the track expects it, image diagonals
+  double max_gap_s = 0.25;        ///< without a frame for longer, or without a detection, the track is dropped
+  double horizon_s = 0.5;         ///< time to contact where growth does not tell it
+  double min_growth_per_s = 0.3;  ///< growth of the diameter below which it does not
+  double vertical = 0.0;    ///< how much of the vertical motion counts for the safe direction, 0 to 1: thrown things
+                            ///< rise and fall, which says little of where they hit; 0: sideways only
+  double direct_hit = 0.1;  ///< an impact nearer to the image's centre than this (image heights) has no side
   double horizontal_fov_rad = 1.2;  ///< of the camera; only used to take its rotation out
 
   DodgeOptions();
@@ -65,8 +65,9 @@ struct DodgeResult {
 /// A thing of constant velocity (X', Y', Z') is seen to move by x' = X'/Z + x / t_c (t_c: time to contact, -Z / Z'),
 /// and crosses the camera's plane at X + X' t_c = Z t_c x'. So it passes on the side towards which it moves in the
 /// image; impact_px = centre + t_c x' is where it hits in units of the depth it has now, and the safe direction leads
-/// from there past the image's centre. Vertically the velocity of what was thrown is not constant: see vertical. A thing that does not move in the image hits the camera: then any way across its
-/// line of sight is as good, and the one away from where it is seen is taken.
+/// from there past the image's centre. Vertically the velocity of what was thrown is not constant: see vertical. A
+/// thing that does not move in the image hits the camera: then any way across its line of sight is as good, and the one
+/// away from where it is seen is taken.
 class DodgePipeline {
  public:
   explicit DodgePipeline(const DodgeOptions& options = {});

@@ -29,8 +29,8 @@ const char* to_string(WeightRule rule) noexcept;
 double navigation_weight(WeightRule rule, double y_close, double y_other, double y_free, double floor);
 
 struct NavigateOptions {
-  MapOptions map;              ///< closing joins the two rims of a trunk, and must not close what one flies through; nor is
-                               ///< what uncertainty surrounds filled: straight ahead nothing moves, and all around does
+  MapOptions map;  ///< closing joins the two rims of a trunk, and must not close what one flies through; nor is
+                   ///< what uncertainty surrounds filled: straight ahead nothing moves, and all around does
   double window_width = 0.7;   ///< neighbourhood of the goal, as a share of the image's width
   double window_height = 0.4;  ///< and of its height
   WeightRule weight = WeightRule::kLimits;

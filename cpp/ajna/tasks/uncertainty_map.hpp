@@ -108,8 +108,8 @@ struct FreeSpace {
   double clearance_px = 0.0;  ///< from center_px to the nearest uncertain pixel (or the window's edge)
   cv::Mat mask;               ///< CV_8U, whole image
 };
-/// unsafe: CV_8U, not 0 where uncertain; window: where to look, clipped to the image. The space that `before` lies in counts
-/// as `keep` times its area, so that two of like size do not take turns.
+/// unsafe: CV_8U, not 0 where uncertain; window: where to look, clipped to the image. The space that `before` lies in
+/// counts as `keep` times its area, so that two of like size do not take turns.
 FreeSpace largest_free_space(const cv::Mat& unsafe, const cv::Rect& window,
                              const std::optional<cv::Point2d>& before = std::nullopt, double keep = 1.0);
 
