@@ -87,9 +87,12 @@ int main(int argc, char** argv) {
   } catch (const CLI::ParseError& error) {
     return error.get_exit_code() == 0 ? app.exit(error) : fail(std::string(error.what()) + " (see --help)");
   }
+  int result = 0;
   try {
-    return options.config.empty() ? run_frames(options) : run_config(options);
+    result = options.config.empty() ? run_frames(options) : run_config(options);
   } catch (const std::exception& error) {
-    return fail(error.what());
+    result = fail(error.what());
   }
+  spdlog::shutdown();  // writes what is still queued
+  return result;
 }

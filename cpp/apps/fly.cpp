@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT
 #include "apps/fly.hpp"
 
+#include <spdlog/async.h>
 #include <spdlog/spdlog.h>
 
 #include <array>
@@ -52,6 +53,17 @@ sigset_t take_signals() {
   }
   ::pthread_sigmask(SIG_BLOCK, &ends, nullptr);
   return ends;
+}
+
+/// A terminal or journal that takes no text for a while (Ctrl-S is enough) must not hold up the flight: from here on a
+/// thread of its own writes, and what it cannot write in time is lost.
+void write_from_a_thread() {
+  constexpr std::size_t kQueue = 1024;
+  const auto before = spdlog::default_logger();
+  spdlog::init_thread_pool(kQueue, 1);
+  spdlog::set_default_logger(std::make_shared<spdlog::async_logger>(before->name(), before->sinks().begin(),
+                                                                    before->sinks().end(), spdlog::thread_pool(),
+                                                                    spdlog::async_overflow_policy::overrun_oldest));
 }
 
 void say(flight::Level level, const std::string& text) {
@@ -160,6 +172,7 @@ int fly(const std::string& config_path, bool dry_run) {
   config.loop.dry_run = dry_run;
   config.link.listen_only = dry_run;
   const sigset_t ends = take_signals();
+  write_from_a_thread();
 
   auto engine = std::make_shared<engine::FlowEngine>(engine::FlowEngine::load(config.model_path, config.engine));
   const auto& info = engine->info();
@@ -208,8 +221,8 @@ int fly(const std::string& config_path, bool dry_run) {
     spdlog::warn("the log is incomplete: {} lines or frames could not be written (disk full?)", log->lost());
   }
   log->close();
-  spdlog::shutdown();
   if (!joined) {
+    spdlog::shutdown();
     // A driver or the network still holds a thread: nothing is left to be done for the vehicle, so go without it.
     std::_Exit(EXIT_SUCCESS);
   }

@@ -280,9 +280,7 @@ class Rig:
         with self.stderr.open("w") as stderr:
             self.process = subprocess.Popen(
                 [str(program), "--config", str(config), *arguments],
-                stderr=stderr,
-                stdout=subprocess.PIPE,
-                **popen,
+                **{"stderr": stderr, "stdout": subprocess.DEVNULL, **popen},
             )
 
     @property

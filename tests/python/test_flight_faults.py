@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import itertools
 import json
@@ -247,6 +248,31 @@ def test_full_disk_and_clock_jumps_do_not_matter_and_a_crash_releases(
     assert wait_for(lambda: not rig.autopilot.overridden, 1)
     assert rig.autopilot.releases[-1] - since < LIMIT_S
     assert rig.process.wait(5) == -signal.SIGSEGV
+
+
+def test_a_terminal_that_takes_no_text_holds_nothing_up(start: Callable[..., Rig]) -> None:
+    reader, writer = os.pipe()
+    try:
+        os.set_blocking(writer, False)
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                os.write(writer, b" " * 4096)
+        os.set_blocking(writer, True)
+        rig = start(stderr=writer)
+        for _ in range(15):
+            time.sleep(0.5)
+            rig.autopilot.set_switch(2000)
+            if wait_for(lambda: rig.autopilot.overridden, 0.5):
+                break
+            rig.autopilot.set_switch(1000)
+        assert rig.autopilot.overridden
+        time.sleep(0.3)
+        since = time.monotonic()
+        rig.process.send_signal(signal.SIGTERM)
+        assert rig.expect_release(since) < LIMIT_S
+    finally:
+        os.close(reader)
+        os.close(writer)
 
 
 def test_a_wrong_system_id_is_said(start: Callable[..., Rig]) -> None:

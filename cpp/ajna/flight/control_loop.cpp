@@ -15,6 +15,9 @@ namespace {
 constexpr double kLogEvery_s = 0.1;
 /// So many writes in a row must fail before the link counts as broken: one full buffer is none.
 constexpr int kFailedWrites = 3;
+/// Oldest SYS_STATUS that still tells of the receiver; five a second are asked for.
+constexpr double kStatusAge_s = 1.0;
+constexpr double kStatusAgeDryRun_s = 5.0;
 constexpr int kSeverityInfo = 6;
 constexpr int kSeverityWarning = 4;
 
@@ -65,8 +68,9 @@ SafetyInputs ControlLoop::inputs(double now_s, const Perceived& perceived) const
   in.autopilot_failsafe = vehicle.heartbeat.failsafe;
   in.rc_s = vehicle.rc_s;
   // Known only from SYS_STATUS; an autopilot that does not count its receiver as enabled has none that it uses.
-  in.receiver_healthy =
-      vehicle.sys_status && vehicle.sys_status->rc_receiver_enabled && vehicle.sys_status->rc_receiver_healthy;
+  const double status_age_s = options_.dry_run ? kStatusAgeDryRun_s : kStatusAge_s;
+  in.receiver_healthy = vehicle.sys_status_s && now_s - *vehicle.sys_status_s <= status_age_s &&
+                        vehicle.sys_status.rc_receiver_enabled && vehicle.sys_status.rc_receiver_healthy;
   in.armed = vehicle.heartbeat.armed;
   in.mode_allowed = std::find(options_.allowed_modes.begin(), options_.allowed_modes.end(),
                               vehicle.heartbeat.custom_mode) != options_.allowed_modes.end();

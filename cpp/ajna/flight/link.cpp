@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT
 #include "ajna/flight/link.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <utility>
 
@@ -15,6 +16,13 @@ constexpr std::size_t kRateSamples = 256;
 constexpr std::size_t kNotes = 32;
 /// An autopilot that was silent for so long may have restarted with other parameters.
 constexpr double kSilence_s = 5.0;
+
+/// What a terminal cannot mistake for a command.
+std::string printable(std::string text) {
+  std::replace_if(
+      text.begin(), text.end(), [](char c) { return c < ' ' || c > '~'; }, '?');
+  return text;
+}
 
 }  // namespace
 
@@ -99,10 +107,11 @@ void Link::take(const Received& frame, double now_s) {
     vehicle_.velocity_s = now_s;
   } else if (const auto* status = std::get_if<SysStatusMessage>(&frame.message)) {
     vehicle_.sys_status = *status;
+    vehicle_.sys_status_s = now_s;
   } else if (const auto* parameter = std::get_if<ParameterMessage>(&frame.message)) {
     parameters_.received(parameter->name, parameter->value);
   } else if (const auto* text = std::get_if<StatusTextMessage>(&frame.message)) {
-    note("autopilot: " + text->text);
+    note("autopilot: " + printable(text->text));
   }
 }
 
@@ -116,7 +125,7 @@ void Link::request_streams(double now_s) {
   const bool rc_slow = slower_than(rc_times_s_, options_.rc_rate_hz);
   const bool too_slow = slower_than(heartbeat_times_s_, options_.heartbeat_rate_hz) || rc_slow;
   const bool attitude_missing = !vehicle_.attitude_s || now_s - *vehicle_.attitude_s > kMotionAge_s;
-  if (!vehicle_.heartbeat_s || !(too_slow || attitude_missing || !vehicle_.sys_status) ||
+  if (!vehicle_.heartbeat_s || !(too_slow || attitude_missing || !vehicle_.sys_status_s) ||
       (asked_streams_s_ && now_s - *asked_streams_s_ < kAskStreamsEvery_s)) {
     return;
   }

@@ -28,7 +28,8 @@ struct VehicleState {
   AttitudeMessage attitude;
   std::optional<double> velocity_s;
   VelocityMessage velocity;
-  std::optional<SysStatusMessage> sys_status;
+  std::optional<double> sys_status_s;
+  SysStatusMessage sys_status;
 
   /// Pulse of a channel (1 to 18), where the receiver delivers it.
   [[nodiscard]] std::optional<int> channel_us(int channel) const;

@@ -100,7 +100,7 @@ const char* explain(Fault fault) noexcept {
     case Fault::kNoPilotInput:
       return "no recent RC channels from the autopilot: check the link and the receiver";
     case Fault::kReceiverLost:
-      return "the autopilot has lost its RC receiver";
+      return "the autopilot does not call its RC receiver healthy";
     case Fault::kNotArmed:
       return "the vehicle is not armed";
     case Fault::kModeNotAllowed:
