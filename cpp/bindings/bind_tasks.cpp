@@ -154,7 +154,7 @@ void bind_align(py::module_& m) {
       "within",
       [](const Alignment& self, const py::array& uncertainty) {
         py::array keep;
-        return to_numpy(within(map_from(uncertainty, keep, ScalarKind::kNorm), self.valid));
+        return mat_to_numpy(within(map_from(uncertainty, keep, ScalarKind::kNorm), self.valid));
       },
       "uncertainty"_a,
       "The scalar map float32 [H, W] of a map [H, W] or [H, W, 2] of the aligned pair; what the frame has no pixels "
