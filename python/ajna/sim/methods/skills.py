@@ -320,7 +320,7 @@ class GapSkill:
 
 
 class PileSkill:
-    """Outline the pile on the second of two views, in which the table is at rest; see :func:`ajna.tasks.segment_pile`."""
+    """Outline the pile on the second of two views, the table being at rest; see :func:`ajna.tasks.segment_pile`."""
 
     def __init__(self, signal: Signal, setup: TaskSetup, every: int) -> None:
         self._signal = signal
