@@ -255,7 +255,9 @@ def _segment(stamped: Iterator[Stamped], network: Any, fov_rad: float) -> Iterat
     from ajna import task_overlays, tasks
 
     for (_, _, first), (time_s, name, second) in _pairs(stamped):
-        uncertainty = network(first, second, time_s).uncertainty
+        # Without the motion of the table: what stands on it then moves before a table at rest.
+        aligned = tasks.align_to(first, second)
+        uncertainty = aligned.within(network(first, aligned.image, time_s).uncertainty)
         result = tasks.segment_pile(first, uncertainty)
         done = result.status == "ok"
         found = {

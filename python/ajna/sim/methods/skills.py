@@ -320,7 +320,7 @@ class GapSkill:
 
 
 class PileSkill:
-    """Outline the pile on the second of two views; see :func:`ajna.tasks.segment_pile`."""
+    """Outline the pile on the second of two views, the table being at rest; see :func:`ajna.tasks.segment_pile`."""
 
     def __init__(self, signal: Signal, setup: TaskSetup, every: int) -> None:
         self._signal = signal
@@ -328,7 +328,7 @@ class PileSkill:
     def plan(self, observation: Observation, past: Sequence[Observation]) -> Answer:
         if not past:
             return Answer()
-        result = tasks.segment_pile(observation.rgb, self._signal(observation, past[-1]))
+        result = tasks.segment_pile(observation.rgb, self._signal(observation, past[-1], "plane"))
         return Answer(result.segmentation, decided=result.status == "ok")
 
 
