@@ -36,6 +36,14 @@ inline cv::Mat with_ring(cv::Mat map, cv::Point center, int radius, int thicknes
   return map;
 }
 
+/// A trunk from top to bottom: both rims, as a network sees them; the inside is as certain as the rest.
+inline cv::Mat trunk(int x, int width, double level) {
+  cv::Mat map = calm_map();
+  map(cv::Rect(x, 0, 5, kHeight)) = level;
+  map(cv::Rect(x + width - 5, 0, 5, kHeight)) = level;
+  return map;
+}
+
 /// Maps that no pipeline can draw anything from, by name.
 inline std::vector<std::pair<std::string, cv::Mat>> unusable_maps() {
   cv::Mat nan = calm_map();
