@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,15 @@ def smooth_texture(height: int, width: int, seed: int) -> NDArray[np.uint8]:
     image = np.fft.irfft2(spectrum * np.exp(-(fx**2 + fy**2) / (2 * 0.06**2)), s=(height, width), axes=(0, 1))
     low, high = image.min(), image.max()
     return np.rint(255 * (image - low) / (high - low)).astype(np.uint8)
+
+
+@pytest.fixture(scope="module")
+def one_thread() -> Iterator[None]:
+    """Small trainings on one thread: two that wait for each other on a busy machine are several times slower."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
 
 
 @pytest.fixture(scope="session")

@@ -21,12 +21,7 @@ EXAMPLES = [depth.Depth, disparity.Disparity, normals.Normals, segmentation.Segm
 examples = pytest.mark.parametrize("kind", EXAMPLES, ids=lambda kind: kind.name)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def one_thread() -> object:
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.fixture(scope="module")

@@ -16,13 +16,7 @@ from ajna.losses import preset
 from ajna.studies import loss_anatomy, loss_study, printed_forms, regression, report
 from ajna.studies.loss_study import Cell, StudyOptions
 
-
-@pytest.fixture(scope="module", autouse=True)
-def one_thread() -> object:
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.fixture(scope="module")

@@ -23,12 +23,7 @@ from ajna.studies.robustness import Condition, RobustnessOptions, measure, run
 SIZE = {"width": 96, "height": 80}
 
 
-@pytest.fixture(scope="module", autouse=True)
-def one_thread() -> object:
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.fixture(scope="module")

@@ -71,7 +71,7 @@ void FlightLog::write(std::string line) noexcept {
       return;
     }
     queue_.push_back({std::move(line), {}, 0});
-  } catch (...) {
+  } catch (...) {  // out of memory: a lost line is counted, the flight goes on
     ++lost_;
   }
   changed_.notify_one();
@@ -90,7 +90,7 @@ void FlightLog::write_frame(const Image& image, std::int64_t index) noexcept {
     }
     queue_.push_back({{}, std::move(copy), index});
     ++frames_queued_;
-  } catch (...) {
+  } catch (...) {  // out of memory: a lost frame is counted, the flight goes on
     ++lost_;
   }
   changed_.notify_one();

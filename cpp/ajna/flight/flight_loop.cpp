@@ -248,7 +248,10 @@ struct FlightLoop::Impl {
     return std::thread([this, &ended, name, function] {
       try {
         function();
-      } catch (...) {
+      } catch (const std::exception& error) {
+        board.internal_error = true;
+        parts.say(Level::kError, std::string("the ") + name + " thread has failed: " + error.what());
+      } catch (...) {  // a driver may throw anything: it is released all the same
         board.internal_error = true;
         parts.say(Level::kError, std::string("the ") + name + " thread has failed");
       }

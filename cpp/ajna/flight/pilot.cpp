@@ -70,7 +70,7 @@ class PairPilot : public Pilot {
     try {
       const FlowField& field = memory_.compare(input.frame, input.captured_s, infer, output);
       decide(field, input, rates_of(input, from_s, use_gyro_), output);
-    } catch (...) {
+    } catch (...) {  // whatever it is, the next frame is compared with this one, and the caller is told
       memory_.keep(input.frame, input.captured_s);
       throw;
     }

@@ -194,7 +194,7 @@ class StreamTransport : public DescriptorTransport {
     try {
       rest_.assign(data + count, data + size);
       return true;
-    } catch (...) {
+    } catch (...) {  // a message cut in half must not be followed by another
       close_now("out of memory");
       return false;
     }
