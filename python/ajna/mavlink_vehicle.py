@@ -28,8 +28,8 @@ class MavlinkVehicle:
     ``silent`` it sends nothing.
 
     Args:
-        switch_channel: of the pilot's switch. time_scale: how fast its clock runs against time; streams keep their rates
-            by that clock.
+        switch_channel: of the pilot's switch. time_scale: how fast its clock runs against time; streams keep their
+            rates by that clock.
     """
 
     def __init__(self, switch_channel: int = 8, time_scale: float = 1.0) -> None:

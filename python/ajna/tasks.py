@@ -8,8 +8,8 @@
     command = policy.update(result.safe_direction, time_s)  # what to do about it
 
 Pipelines turn maps of uncertainty into masks, regions, points and directions, policies turn those into commands. Every
-result has a ``status``; what a pipeline cannot know it says, and leaves out. :class:`Skill` puts signal, pipeline and policy
-of one task together, as the flight program and the simulation fly them.
+result has a ``status``; what a pipeline cannot know it says, and leaves out. :class:`Skill` puts signal, pipeline and
+policy of one task together, as the flight program and the simulation fly them.
 """
 
 from __future__ import annotations

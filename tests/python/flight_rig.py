@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from ajna.mavlink_vehicle import MavlinkVehicle

@@ -2,8 +2,8 @@
 """The flight program itself as a method: it reads frames from a folder and flies the simulated vehicle by MAVLink.
 
 The simulation is the vehicle here: an ArduPilot copter in LOITER that takes overridden sticks, as on the paper's
-vehicle. The program's clock runs slower than time (``simulation.time_scale``), so that rendering can keep up; by that clock
-it flies as on a robot, with its own latency, time-outs and limits. So trials are not repeatable to the last bit.
+vehicle. The program's clock runs slower than time (``simulation.time_scale``), so that rendering can keep up; by that
+clock it flies as on a robot, with its own latency, time-outs and limits. So trials are not repeatable to the last bit.
 """
 
 from __future__ import annotations
@@ -138,7 +138,7 @@ class FlightProgram:
                 coast=COAST_S,
                 log=log,
                 scale=self._scale,
-            )  # fmt: skip
+            )
         )
         self._said = self._folder / "said.txt"
         with self._said.open("w") as said:
@@ -170,7 +170,8 @@ class FlightProgram:
             )
         self._deliver(observation)
         command = self._sticks()
-        decided = command is not None and not self._moved
+        # Only a dodge begins with a detection: the others move from the start.
+        decided = self._setup.task == "dodge" and command is not None and not self._moved
         self._moved = self._moved or decided
         return Output(None, None, self._autopilot(command, observation), decided, planned=False)
 
