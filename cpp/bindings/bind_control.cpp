@@ -64,11 +64,12 @@ void bind_navigate_policy(py::module_& m) {
   AJNA_FIELD(direction);
   AJNA_FIELD(yaw);
   AJNA_FIELD(max_acceleration_m_s2);
+  AJNA_FIELD(max_jerk_m_s3);
   AJNA_FIELD(lookahead_s);
 #undef AJNA_FIELD
   py::class_<Guidance>(m, "Guidance", "What the local planner says of a frame: v_g, v_free (body frame) and w.")
       .def(py::init([](const Eigen::Vector3d& goal, const Eigen::Vector3d& free, double weight) {
-             return Guidance{goal, free, weight};
+             return Guidance{goal, free, weight, std::nullopt};
            }),
            "goal"_a, "free"_a, "weight"_a)
       .def_readwrite("goal", &Guidance::goal)

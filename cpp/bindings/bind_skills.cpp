@@ -94,6 +94,54 @@ Input input_from(double time_s, const std::optional<py::array>& frame, const std
   return result;
 }
 
+void bind_horizon(py::module_& m) {
+  using tasks::CorridorOptions;
+  using tasks::HorizonOptions;
+  py::class_<HorizonOptions> horizon(m, "HorizonOptions", "From uncertainty along the horizon to distances.");
+  horizon.def(py::init<>());
+#define AJNA_FIELD(name) horizon.def_readwrite(#name, &HorizonOptions::name)
+  AJNA_FIELD(band);
+  AJNA_FIELD(floor);
+  AJNA_FIELD(per_px);
+  AJNA_FIELD(least_shift_px);
+  AJNA_FIELD(max_distance_m);
+  AJNA_FIELD(min_move_m);
+  AJNA_FIELD(column_step);
+#undef AJNA_FIELD
+  py::class_<CorridorOptions> corridor(m, "CorridorOptions", "Of the choice of a corridor between things.");
+  corridor.def(py::init<>());
+#define AJNA_FIELD(name) corridor.def_readwrite(#name, &CorridorOptions::name)
+  AJNA_FIELD(half_width_m);
+  AJNA_FIELD(room_m);
+  AJNA_FIELD(fan_rad);
+  AJNA_FIELD(directions);
+  AJNA_FIELD(horizon_m);
+  AJNA_FIELD(remember_m);
+  AJNA_FIELD(remember_s);
+  AJNA_FIELD(room_weight);
+  AJNA_FIELD(goal_weight);
+  AJNA_FIELD(keep_weight);
+  AJNA_FIELD(brake_m_s2);
+  AJNA_FIELD(stop_m);
+#undef AJNA_FIELD
+  m.def(
+      "horizon_obstacles",
+      [](const py::array& map, const Matrix3d& rotation, double fov, const Vector3d& move,
+         const HorizonOptions& chosen) {
+        py::array keep;
+        const auto found = tasks::horizon_obstacles(float_mat(map, keep), rotation, fov, move, chosen);
+        py::array_t<double> points({static_cast<py::ssize_t>(found.size()), py::ssize_t{2}});
+        for (std::size_t i = 0; i < found.size(); ++i) {
+          points.mutable_at(static_cast<py::ssize_t>(i), 0) = found[i].x();
+          points.mutable_at(static_cast<py::ssize_t>(i), 1) = found[i].y();
+        }
+        return points;
+      },
+      "map"_a, "heading_from_camera"_a, "horizontal_fov_rad"_a, "move_m"_a, "options"_a = HorizonOptions{},
+      "The nearest thing of each column of a scalar map float32 [H, W], as float64 [N, 2]: forward and right of the "
+      "camera, metres. move_m: between the frames, heading frame [3].");
+}
+
 void bind_options(py::module_& m) {
   py::class_<SkillOptions> options(m, "SkillOptions", "Of make_skill: one task, its pipeline and its policy.");
   options.def(py::init<>());
@@ -105,8 +153,11 @@ void bind_options(py::module_& m) {
   AJNA_FIELD(goal_bearing_rad);
   AJNA_FIELD(dodge);
   AJNA_FIELD(dodge_policy);
+  AJNA_FIELD(horizon);
+  AJNA_FIELD(corridor);
   AJNA_FIELD(navigate);
   AJNA_FIELD(navigate_policy);
+  AJNA_FIELD(max_turn_rad_s);
   AJNA_FIELD(baseline_s);
   AJNA_FIELD(height_gain);
   AJNA_FIELD(largest_slope);
@@ -164,6 +215,7 @@ void bind_signal(py::module_& m) {
 }  // namespace
 
 void bind_skills(py::module_& m) {
+  bind_horizon(m);
   bind_options(m);
   bind_signal(m);
   py::class_<SkillOutput> output(m, "SkillOutput", "What a skill makes of a frame.");

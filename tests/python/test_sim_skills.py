@@ -82,6 +82,8 @@ class Disc:
     def source(self, camera: CameraModel) -> Source:
         return self._seen
 
+    def adapt(self, options: tasks.SkillOptions) -> None: ...
+
     def _seen(self, first: tasks.Snapshot, second: tasks.Snapshot, common: str) -> np.ndarray:
         self.calls += 1
         y, x = np.mgrid[:240, :320]

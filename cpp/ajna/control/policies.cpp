@@ -23,6 +23,9 @@ bool advances(const std::optional<double>& last_s, double time_s) {
   return std::isfinite(time_s) && (!last_s || time_s > *last_s);
 }
 
+/// A first command may change from nothing by what this long allows.
+constexpr double kFirstStep_s = 0.03;
+
 /// A first step has no interval: the controllers take any positive one for their proportional part.
 double step_of(double elapsed_s) { return elapsed_s > 0.0 ? elapsed_s : 1e-3; }
 
@@ -70,7 +73,7 @@ Command DodgePolicy::update(const std::optional<Eigen::Vector2d>& safe_direction
 // --- Navigate --------------------------------------------------------------------------------------------------------
 
 NavigatePolicyOptions::NavigatePolicyOptions() {
-  direction.kp = 6.0;
+  direction.kp = 14.0;
   direction.ki = 0.5;
   direction.kd = 0.3;
   direction.output_min = -8.0;
@@ -93,8 +96,10 @@ Eigen::Vector3d desired_direction(const Guidance& guidance) {
 
 NavigatePolicy::NavigatePolicy(const NavigatePolicyOptions& options)
     : options_(options), direction_(options.direction), yaw_(options.yaw) {
-  require(options.speed_m_s > 0.0 && options.max_acceleration_m_s2 > 0.0 && options.lookahead_s >= 0.0,
-          "navigate policy: give a positive speed_m_s and max_acceleration_m_s2 and a lookahead_s of at least 0");
+  require(options.speed_m_s > 0.0 && options.max_acceleration_m_s2 > 0.0 && options.max_jerk_m_s3 > 0.0 &&
+              options.lookahead_s >= 0.0,
+          "navigate policy: give a positive speed_m_s, max_acceleration_m_s2 and max_jerk_m_s3 and a lookahead_s of at "
+          "least 0");
   require(options.slow_down >= 0.0 && options.slow_down < 1.0, "navigate policy: give slow_down from 0 to below 1");
 }
 
@@ -123,13 +128,21 @@ Command NavigatePolicy::update(const std::optional<Guidance>& guidance, double t
     return last_ = Command::hold();
   }
   const Eigen::Vector3d desired = desired_direction(guidance_);
-  const double speed = options_.speed_m_s * (1.0 - options_.slow_down * guidance_.weight);
-  const Eigen::Vector3d current =
-      velocity_m_s && velocity_m_s->allFinite() ? Eigen::Vector3d(*velocity_m_s / speed) : Eigen::Vector3d::UnitX();
+  const double speed =
+      std::clamp(guidance_.speed_m_s.value_or(options_.speed_m_s * (1.0 - options_.slow_down * guidance_.weight)), 0.0,
+                 options_.speed_m_s);
+  // Eq. 4 in units of the cruise speed, so that its gain does not depend on the speed that is wanted now.
+  const Eigen::Vector3d wanted = speed / options_.speed_m_s * desired;
+  const Eigen::Vector3d current = velocity_m_s && velocity_m_s->allFinite()
+                                      ? Eigen::Vector3d(*velocity_m_s / options_.speed_m_s)
+                                      : Eigen::Vector3d(speed / options_.speed_m_s, 0.0, 0.0);
   Command command;
   command.mode = CommandMode::kAcceleration;
   command.velocity_m_s = speed * desired;
-  command.acceleration_m_s2 = limit_norm(direction_.update(desired - current, dt_s), options_.max_acceleration_m_s2);
+  const Eigen::Vector3d asked = limit_norm(direction_.update(wanted - current, dt_s), options_.max_acceleration_m_s2);
+  command.acceleration_m_s2 =
+      last_.acceleration_m_s2 +
+      limit_norm(asked - last_.acceleration_m_s2, options_.max_jerk_m_s3 * std::max(dt_s, kFirstStep_s));
   command.yaw_rate_rad_s = yaw_.update(std::atan2(desired.y(), desired.x()), dt_s);
   return last_ = command;
 }

@@ -48,6 +48,7 @@ struct NavigatePolicyOptions {
   PidOptions direction;                ///< Eq. 5, m/s^2 per unit of direction error
   PidOptions yaw;                      ///< rad/s per rad between heading and desired direction
   double max_acceleration_m_s2 = 8.0;  ///< of the command
+  double max_jerk_m_s3 = 25.0;         ///< of the command: what is harder turns the camera, and blurs
   double lookahead_s = 1.0;            ///< without an answer for this long the policy holds
 
   NavigatePolicyOptions();
@@ -58,6 +59,7 @@ struct Guidance {
   Eigen::Vector3d goal = Eigen::Vector3d::UnitX();  ///< v_g
   Eigen::Vector3d free = Eigen::Vector3d::UnitX();  ///< v_free
   double weight = 0.0;                              ///< w, 0 to 1
+  std::optional<double> speed_m_s;                  ///< at most; nothing: cruise speed, less by slow_down w
 };
 
 /// (1 - w) v_g + w v_free, of unit length (Eq. 3); the goal where both cancel. Throws for a weight outside [0, 1] and

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: MIT
+#include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
+#include <opencv2/imgproc.hpp>
 #include <utility>
 
 #include "ajna/geometry/camera.hpp"
@@ -15,9 +17,15 @@ tasks::NavigateOptions pipeline_options(const SkillOptions& options) {
   return navigate;
 }
 
+double turn_between(const Attitude& a, const Attitude& b) {
+  const Eigen::Matrix3d turn = a.world_from_camera().transpose() * b.world_from_camera();
+  return std::abs(Eigen::AngleAxisd(turn).angle());
+}
+
 /// Fly to the goal through what is free. Pairs span baseline_s, so that what is near has moved by some pixels, and the
 /// turning between them is taken out: what is left grows with inverse depth. The height is held by other sensors: of
-/// the directions only the horizontal part is followed.
+/// the directions only the horizontal part is followed. Where attitude and velocity are known, uncertainty along the
+/// horizon becomes distances, and a corridor between what stands there is chosen; else the largest free space is.
 class NavigateSkill final : public Skill {
  public:
   NavigateSkill(const SkillOptions& options, Signal signal)
@@ -26,12 +34,18 @@ class NavigateSkill final : public Skill {
         max_age_s_(std::max(options.max_interval_s, options.baseline_s)),
         memory_(max_age_s_),
         pipeline_(pipeline_options(options)),
-        policy_(options.navigate_policy) {}
+        planner_(options.corridor),
+        policy_(options.navigate_policy) {
+    tasks::validate(options.horizon);
+  }
 
   void begin() override {
     pipeline_.reset();
+    planner_.reset();
     policy_.reset();
     goal_yaw_rad_.reset();
+    position_m_.setZero();
+    moved_s_.reset();
     first_ = true;
   }
 
@@ -55,6 +69,7 @@ class NavigateSkill final : public Skill {
     SkillOutput output;
     const Attitude attitude = input.attitude.value_or(Attitude{});
     const Eigen::Vector3d goal = levelled(goal_of(input), input.too_high_m);
+    move(now.captured_s, input);
     const Snapshot* before = memory_.find(now.captured_s, options_.baseline_s, max_age_s_);
     const bool first = std::exchange(first_, false);
     if (before == nullptr || !same_size(now, *before)) {
@@ -63,19 +78,30 @@ class NavigateSkill final : public Skill {
       // pairs must not be flown by.
       output.valid = first;
       if (first) {
-        output.command = policy_.update(control::Guidance{goal, goal, 0.0}, now.captured_s, input.velocity_m_s);
+        output.command =
+            policy_.update(control::Guidance{goal, goal, 0.0, std::nullopt}, now.captured_s, input.velocity_m_s);
       }
       return output;
     }
     const SignalMap seen = signal_(now, *before, CommonMotion::kRotation);
     output.flow = seen.flow;
+    if (input.attitude && input.velocity_m_s) {
+      if (before->attitude &&
+          turn_between(*before->attitude, attitude) > options_.max_turn_rad_s * (now.captured_s - before->captured_s)) {
+        output.status = "turning";
+        output.command = policy_.update(std::nullopt, now.captured_s, input.velocity_m_s);
+        return output;
+      }
+      fly_corridor(seen.map, now.captured_s - before->captured_s, goal, now.captured_s, input, output);
+      return output;
+    }
     const auto result = pipeline_.step(seen.map, now.captured_s, camera_from_heading(attitude, goal));
     output.status = tasks::to_string(result.status);
     output.mask = result.steps.mask;
     std::optional<control::Guidance> guidance;
     if (result.status == tasks::NavigateStatus::kOk) {
       const auto free = levelled(heading_from_camera(attitude, result.free_direction), input.too_high_m);
-      guidance = control::Guidance{goal, free, result.weight};
+      guidance = control::Guidance{goal, free, result.weight, std::nullopt};
       const auto camera =
           geometry::Camera::from_horizontal_fov(seen.map.cols, seen.map.rows, options_.horizontal_fov_rad);
       output.point_px =
@@ -86,6 +112,66 @@ class NavigateSkill final : public Skill {
     }
     output.command = policy_.update(guidance, now.captured_s, input.velocity_m_s);
     return output;
+  }
+
+  /// Choose a corridor between the things that the map shows along the horizon.
+  void fly_corridor(const cv::Mat& map, double interval_s, const Eigen::Vector3d& goal, double time_s,
+                    const SkillInput& input, SkillOutput& output) {
+    const Attitude& attitude = *input.attitude;
+    if (!tasks::is_valid_map(map)) {
+      output.status = tasks::to_string(tasks::NavigateStatus::kInvalidInput);
+      output.command = policy_.update(std::nullopt, time_s, input.velocity_m_s);
+      return;
+    }
+    output.status = tasks::to_string(tasks::NavigateStatus::kOk);
+    const auto obstacles = tasks::horizon_obstacles(map, attitude.heading_from_camera, options_.horizontal_fov_rad,
+                                                    interval_s * *input.velocity_m_s, options_.horizon);
+    const auto corridor =
+        planner_.plan(obstacles, time_s, position_m_, attitude.yaw_rad, std::atan2(goal.y(), goal.x()));
+    const Eigen::Vector3d free =
+        levelled({std::cos(corridor.angle_rad), std::sin(corridor.angle_rad), 0.0}, input.too_high_m);
+    const control::Guidance guidance{goal, free, weight_of(corridor), corridor.speed_m_s};
+    const auto camera = geometry::Camera::from_horizontal_fov(map.cols, map.rows, options_.horizontal_fov_rad);
+    const auto pixel = [&](const Eigen::Vector3d& direction) {
+      return camera.project(attitude.heading_from_camera.transpose() * direction);
+    };
+    output.point_px = pixel(control::desired_direction(guidance));
+    output.command = policy_.update(guidance, time_s, input.velocity_m_s);
+    // What is near, as upright lines of a third of a metre, for pictures.
+    constexpr double kHalfHeight_m = 0.15;
+    output.mask = cv::Mat::zeros(map.size(), CV_8U);
+    for (const auto& thing : obstacles) {
+      const auto low = pixel({thing.x(), thing.y(), kHalfHeight_m});
+      const auto high = pixel({thing.x(), thing.y(), -kHalfHeight_m});
+      if (low && high) {
+        cv::line(output.mask, {cvRound(low->x()), cvRound(low->y())}, {cvRound(high->x()), cvRound(high->y())},
+                 cv::Scalar(255), options_.horizon.column_step);
+      }
+    }
+  }
+
+  /// w of Eq. 3: the corridor alone counts where the way to the goal is not free.
+  [[nodiscard]] double weight_of(const tasks::Corridor& corridor) const {
+    const double far = options_.corridor.horizon_m;
+    if (corridor.goal_free_m < far) {
+      return 1.0;
+    }
+    const double near = std::max(corridor.close_m, 0.1);
+    return tasks::navigation_weight(options_.navigate.weight, 1.0 / near, 1.0 / std::max(corridor.free_m, near),
+                                    1.0 / far, 1.0 / far);
+  }
+
+  /// Dead reckoning: for things that are remembered for less than a second.
+  void move(double time_s, const SkillInput& input) {
+    constexpr double kLongest_s = 0.5;
+    if (moved_s_ && input.attitude && input.velocity_m_s) {
+      const double dt_s = std::clamp(time_s - *moved_s_, 0.0, kLongest_s);
+      const double c = std::cos(input.attitude->yaw_rad);
+      const double s = std::sin(input.attitude->yaw_rad);
+      const Eigen::Vector3d& v = *input.velocity_m_s;
+      position_m_ += dt_s * Eigen::Vector2d(c * v.x() - s * v.y(), s * v.x() + c * v.y());
+    }
+    moved_s_ = time_s;
   }
 
   /// The way to the goal in the heading frame: as given, or a fixed bearing.
@@ -117,8 +203,11 @@ class NavigateSkill final : public Skill {
   double max_age_s_;
   Memory memory_;
   tasks::NavigatePipeline pipeline_;
+  tasks::CorridorPlanner planner_;
   control::NavigatePolicy policy_;
   std::optional<double> goal_yaw_rad_;
+  Eigen::Vector2d position_m_ = Eigen::Vector2d::Zero();  ///< north, east, since the beginning
+  std::optional<double> moved_s_;
   bool first_ = true;
 };
 

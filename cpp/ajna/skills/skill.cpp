@@ -56,6 +56,7 @@ void validate(const SkillOptions& options) {
   between(options.max_interval_s, 0.01, 1.0, "max_interval_s");
   between(options.goal_bearing_rad, -3.15, 3.15, "goal_bearing_rad");
   between(options.baseline_s, 0.005, 0.5, "baseline_s");
+  between(options.max_turn_rad_s, 0.1, 100.0, "max_turn_rad_s");
   between(options.height_gain, 0.0, 10.0, "height_gain");
   between(options.largest_slope, 0.0, 1.0, "largest_slope");
   between(options.settle_s, 0.0, 10.0, "settle_s");

@@ -13,6 +13,7 @@
 #include "ajna/skills/signal.hpp"
 #include "ajna/tasks/dodge.hpp"
 #include "ajna/tasks/gap.hpp"
+#include "ajna/tasks/horizon.hpp"
 #include "ajna/tasks/navigate.hpp"
 
 // Frames in, commands out: signal, pipeline and policy of one task, flown alike by the flight program and the
@@ -33,9 +34,12 @@ struct SkillOptions {
   tasks::DodgeOptions dodge;
   control::DodgePolicyOptions dodge_policy;
 
-  tasks::NavigateOptions navigate;
+  tasks::HorizonOptions horizon;    ///< navigate, where attitude and velocity are known ...
+  tasks::CorridorOptions corridor;  ///< ... and
+  tasks::NavigateOptions navigate;  ///< where they are not
   control::NavigatePolicyOptions navigate_policy;
-  double baseline_s = 0.1;   ///< between the frames of a pair: what is near has then moved by some pixels
+  double max_turn_rad_s = 1.5;  ///< frames of a faster turn are blurred: the last answer stands for lookahead_s
+  double baseline_s = 0.1;      ///< between the frames of a pair: what is near has then moved by some pixels
   double height_gain = 0.4;  ///< downward part of the direction per metre too high; only level directions are followed
   double largest_slope = 0.3;  ///< of that part
 

@@ -35,6 +35,9 @@ class Signal(Protocol):
 
     def source(self, camera: CameraModel) -> Source: ...
 
+    def adapt(self, options: tasks.SkillOptions) -> None:
+        """Change what depends on the signal's units; the defaults are the shipped network's."""
+
 
 @lru_cache(maxsize=2)
 def _model(name_or_path: str) -> Any:
@@ -61,6 +64,9 @@ class NetworkSignal:
         """The network's signal for a camera."""
         return tasks.NetworkSignal(self._model.engine, camera.horizontal_fov_rad)
 
+    def adapt(self, options: tasks.SkillOptions) -> None:
+        """Nothing: the defaults are for networks."""
+
 
 class TrueFlowSignal:
     """Forward-backward occlusion from the true flow: what a network could know at best of covering and uncovering.
@@ -73,6 +79,10 @@ class TrueFlowSignal:
     def source(self, camera: CameraModel) -> Source:
         """Reads the frames from the observations that the snapshots are tagged with."""
         return lambda first, second, common: occlusion_jump(first.tag.frame, second.tag.frame)
+
+    def adapt(self, options: tasks.SkillOptions) -> None:
+        """Pixels of flow, in narrow rims: as strong as the motion itself, which the mean over a band weakens little."""
+        options.horizon.floor, options.horizon.per_px, options.horizon.least_shift_px = 0.02, 1.0, 3.0
 
 
 def occlusion_jump(first: Frame, second: Frame) -> Map:

@@ -92,11 +92,13 @@ class SkillMethod:
             self.needs = self.needs | {"rgb"}  # gaps are tracked and piles are outlined in the pictures
         source = self._signal.source(setup.camera)
         self._every, self._delay = (1, 0) if setup.task == "pile" else self._timing.in_frames(setup.camera.rate_hz)
-        self._skill: tasks.Skill | PileSkill = (
-            PileSkill(source)
-            if setup.task == "pile"
-            else tasks.Skill(skill_options(setup, setup.camera.rate_hz / self._every), source)
-        )
+        self._skill: tasks.Skill | PileSkill
+        if setup.task == "pile":
+            self._skill = PileSkill(source)
+        else:
+            options = skill_options(setup, setup.camera.rate_hz / self._every)
+            self._signal.adapt(options)
+            self._skill = tasks.Skill(options, source)
         self._autopilot = Autopilot()
         self._pending: deque[tuple[int, tasks.Command]] = deque()
         self._command: tasks.Command | None = None
