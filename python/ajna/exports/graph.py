@@ -65,6 +65,11 @@ def exportable(net: FlowNet, metadata: Mapping[str, Any], precision: torch.dtype
     return ExportableNet(network, table, float(metadata["flow_scale"]), precision).eval()
 
 
+def to_channels_last(module: nn.Module) -> None:
+    """Store the weights as the engine does, with the channels last, for which CPUs are quicker at this network."""
+    module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # not in torch's stub
+
+
 def check_network(net: FlowNet) -> None:
     """Raises ValueError unless ``net`` is one that is exported: 6 to 4 channels, in eval mode."""
     config = net.config

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -47,10 +49,11 @@ def write(
 def _quantized(model: Any, calibration: Sequence[Array]) -> Any:
     import nncf
 
-    return nncf.quantize(
-        model,
-        nncf.Dataset(calibration),
-        # Inputs of most layers are rectified, the network's input is not: MIXED handles both.
-        preset=nncf.QuantizationPreset.MIXED,
-        subset_size=len(calibration),
-    )
+    with redirect_stdout(StringIO()):  # its progress bars
+        return nncf.quantize(
+            model,
+            nncf.Dataset(calibration),
+            # Inputs of most layers are rectified, the network's input is not: MIXED handles both.
+            preset=nncf.QuantizationPreset.MIXED,
+            subset_size=len(calibration),
+        )

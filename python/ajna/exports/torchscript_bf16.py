@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from ajna.exports.graph import exportable, quiet
+from ajna.exports.graph import exportable, quiet, to_channels_last
 from ajna.exports.record import checkpoint_strings
 from ajna.nn import FlowNet, network_input
 
@@ -32,7 +32,8 @@ class _Script(nn.Module):
         pad_x = (self.stride - width % self.stride) % self.stride
         if pad_y > 0 or pad_x > 0:
             x = torch.nn.functional.pad(x, [0, pad_x, 0, pad_y], mode="replicate")
-        return self.network(x.to(torch.bfloat16)).to(torch.float32)[:, :, :height, :width]
+        x = x.to(torch.bfloat16).contiguous(memory_format=torch.channels_last)
+        return self.network(x).to(torch.float32)[:, :, :height, :width]
 
     @torch.jit.export
     def predict(self, frame1: Tensor, frame2: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -44,6 +45,7 @@ class _Script(nn.Module):
 def write(path: Path, net: FlowNet, metadata: Mapping[str, Any]) -> None:
     """Write ``net`` to ``path`` with weights and activations in bfloat16; input and outputs are float32, any size."""
     parts = exportable(net, metadata, torch.bfloat16)
+    to_channels_last(parts.network)
     side = 2 * net.config.stride
     frame = torch.zeros(1, 3, side, side, dtype=torch.uint8)
     with quiet():  # torch plans to retire TorchScript; the user asked for it

@@ -19,6 +19,7 @@ from ajna.nn import FlowNet, network_input
 # (width, height) where a format takes any: multiples of the stride and others.
 _ANY_SIZES = ((64, 48), (57, 33), (32, 80))
 _SEED = 20231
+_SCENES = 2
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ def verify(
         warnings.simplefilter("ignore", DeprecationWarning)  # torch plans to retire TorchScript
         runner = open_exported(file_format, path)
     sizes = ((width, height),) if kind.fixed_size else _ANY_SIZES
-    pairs = [(size, pair) for size in sizes for pair in _pairs(*size)]
+    pairs = [(size, pair) for size in sizes for pair in _pairs(*size, kind.on_noise)]
     worst = {"raw": 0.0, "flow": 0.0, "mean": 0.0, "uncertainty": 0.0, "error": 0.0, "share": 0.0}
     checked: list[str] = []
     batches: dict[tuple[int, int], list[Array]] = {}
@@ -80,12 +81,14 @@ def verify(
     )
 
 
-def _pairs(width: int, height: int) -> list[tuple[Array, Array]]:
-    """Two rendered scenes, and noise: what the network was made for and what it was not."""
+def _pairs(width: int, height: int, with_noise: bool) -> list[tuple[Array, Array]]:
+    """Rendered scenes, and noise: what the network was made for and what it was not."""
     from ajna.data.synthetic import SyntheticScenes
 
-    scenes = SyntheticScenes(2, width, height, seed=_SEED)
-    pairs = [(scenes.read(index).frame1, scenes.read(index).frame2) for index in range(2)]
+    scenes = SyntheticScenes(_SCENES, width, height, seed=_SEED)
+    pairs = [(pair.frame1, pair.frame2) for pair in map(scenes.read, range(_SCENES))]
+    if not with_noise:
+        return pairs
     random = np.random.default_rng(_SEED)
     noise = random.integers(0, 256, (2, height, width, 3), dtype=np.uint8)
     return [*pairs, (noise[0], noise[1])]
