@@ -85,7 +85,7 @@ def _cells(row: Row) -> list[str]:
         text(row.file_bytes, ".1f", 1e6),
         text(row.max_abs_difference, ".1e"),
         text(row.flow_difference_px, ".1e"),
-        text(row.runs, "d"),
+        text(row.runs, ".0f"),
     ]
 
 

@@ -37,7 +37,7 @@ def inputs_of_scenes(width: int, height: int, count: int = RENDERED) -> list[Arr
     """Rendered scenes as network inputs [1, 6, height, width]; no training run and no check has seen them."""
     from ajna.data.synthetic import SyntheticScenes
 
-    scenes = SyntheticScenes(count, width, height, seed=77)
+    scenes = SyntheticScenes(count, width, height, seed=77, scene={"bank_size": 2 * count})
     return _inputs((pair.frame1, pair.frame2) for pair in map(scenes.read, range(count)))
 
 

@@ -56,4 +56,18 @@ def _quantized(model: Any, calibration: Sequence[Array]) -> Any:
             # Inputs of most layers are rectified, the network's input is not: MIXED handles both.
             preset=nncf.QuantizationPreset.MIXED,
             subset_size=len(calibration),
+            ignored_scope=nncf.IgnoredScope(names=_after_the_network(model)),
         )
+
+
+def _after_the_network(model: Any) -> list[str]:
+    """Names of the operations that turn the raw output into maps: a table that is looked up takes no rounding."""
+    found: list[str] = []
+    waiting = [model.output(OUTPUTS[0]).get_node().input_value(0)]  # what the network gives
+    while waiting:
+        for target in waiting.pop().get_target_inputs():
+            node = target.get_node()
+            if node.get_type_name() != "Result" and node.get_friendly_name() not in found:
+                found.append(node.get_friendly_name())
+                waiting += node.outputs()
+    return found

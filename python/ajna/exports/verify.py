@@ -85,7 +85,7 @@ def _pairs(width: int, height: int, with_noise: bool) -> list[tuple[Array, Array
     """Rendered scenes, and noise: what the network was made for and what it was not."""
     from ajna.data.synthetic import SyntheticScenes
 
-    scenes = SyntheticScenes(_SCENES, width, height, seed=_SEED)
+    scenes = SyntheticScenes(_SCENES, width, height, seed=_SEED, scene={"bank_size": 12})  # quick
     pairs = [(pair.frame1, pair.frame2) for pair in map(scenes.read, range(_SCENES))]
     if not with_noise:
         return pairs
