@@ -167,7 +167,7 @@ def _write(
     from ajna.exports.graph import exportable
 
     graph = exportable(net, metadata)
-    entries = record.record(net, metadata, file_format, (width, height))
+    entries = record.record(net, metadata, file_format, (width, height), len(calibration or ()))
     if file_format == "onnx":
         from ajna.exports import onnx_file
 

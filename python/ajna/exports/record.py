@@ -18,11 +18,14 @@ def checkpoint_strings(net: FlowNet, metadata: Mapping[str, Any]) -> dict[str, s
     return metadata_object(net, metadata).to_strings()
 
 
-def record(net: FlowNet, metadata: Mapping[str, Any], file_format: str, size: tuple[int, int] | None) -> dict[str, str]:
+def record(
+    net: FlowNet, metadata: Mapping[str, Any], file_format: str, size: tuple[int, int], calibration_pairs: int = 0
+) -> dict[str, str]:
     """Key and value as text: what model this is, and all that one needs to know to feed it and to read its outputs.
 
     Args:
-        size: (width, height) where the file fixes it.
+        size: (width, height), which the file fixes.
+        calibration_pairs: how many pairs of frames int8 was calibrated on.
     """
     calibration = metadata.get("calibration")
     entries = {
@@ -38,10 +41,12 @@ def record(net: FlowNet, metadata: Mapping[str, Any], file_format: str, size: tu
         "raw": "[N, 4, H, W]: what the network gives; times flow_scale its first two channels are pixels",
         "flow": "[N, 2, H, W] pixels, u to the right and v down: where the pixels of frame 1 are in frame 2",
         "uncertainty": "[N, 2, H, W] positive, in the unit of the loss, of u and of v; larger is less certain",
+        "width": str(size[0]),
+        "height": str(size[1]),
         "expected_error": "[N, 2, H, W] pixels: the error that the network expects of itself",
     }
-    if size is not None:
-        entries["width"], entries["height"] = str(size[0]), str(size[1])
+    if calibration_pairs:
+        entries["int8_calibration_pairs"] = str(calibration_pairs)
     if calibration is not None:
         entries["calibration"] = json.dumps(
             {
