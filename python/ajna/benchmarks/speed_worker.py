@@ -68,7 +68,7 @@ def _exported(args: argparse.Namespace) -> Callable[[], Any]:
 def _engine(args: argparse.Namespace) -> Callable[[], Any]:
     import ajna
 
-    model = ajna.load(args.file, threads=args.threads, bfloat16=args.kind == "engine-bf16")
+    model = ajna.load(args.file, threads=args.threads)
     first, second = _frames(args.width, args.height)
     return lambda: model(first, second)
 
@@ -93,7 +93,7 @@ def main() -> None:
     parser.add_argument("--max-runs", type=int, default=1000)
     args = parser.parse_args()
     del sys.path[0]  # this file's folder: its neighbours are no packages
-    kinds = {"engine": _engine, "engine-bf16": _engine, "matrix-product": _matrix_product}
+    kinds = {"engine": _engine, "matrix-product": _matrix_product}
     call = kinds.get(args.kind, _exported)(args)
     times = measure(call, args.seconds, args.max_runs)
     print(json.dumps({"times_ms": times, "peak_bytes": peak_bytes()}))

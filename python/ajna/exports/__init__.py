@@ -67,7 +67,8 @@ def missing(file_format: str) -> str | None:
     packages = [name for name in FORMATS[file_format].modules if find_spec(name) is None]
     if packages:
         return f"pip install {' '.join(packages)}"
-    if file_format == "aotinductor" and not any(map(shutil.which, (os.environ.get("CXX", "g++"), "clang++"))):
+    compilers = (os.environ.get("CXX", "g++").split()[-1], "clang++")  # CXX may begin with a launcher, e.g. ccache
+    if file_format == "aotinductor" and not any(map(shutil.which, compilers)):
         return "apt-get install g++"
     return None
 

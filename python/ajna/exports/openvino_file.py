@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
 from io import StringIO
@@ -49,6 +50,7 @@ def write(
 def _quantized(model: Any, calibration: Sequence[Array]) -> Any:
     import nncf
 
+    nncf.set_log_level(logging.ERROR)
     with redirect_stdout(StringIO()):  # its progress bars
         return nncf.quantize(
             model,
