@@ -218,7 +218,7 @@ def test_the_command_refuses(refused: Callable[..., str], tmp_path: Path, monkey
     assert "pip install onnx onnxscript onnxruntime" in refused("onnx", "net.onnx")
     assert "pip install openvino nncf" in refused("openvino-int8", "net.xml")
     monkeypatch.setattr(exports, "find_spec", lambda name: name)
-    assert "for example --width 64 --height 48," in refused("onnx", "net.onnx", "--width", 60, "--height", 50)
+    assert "for example 64x48," in refused("onnx", "net.onnx", "--width", 60, "--height", 50)
     (tmp_path / "one").mkdir()
     io.write_image(tmp_path / "one" / "0.png", np.zeros((48, 64, 3), np.uint8))
     assert "at least two" in refused("openvino-int8", "net.xml", "--calibration-frames", tmp_path / "one")
