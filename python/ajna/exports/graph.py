@@ -88,7 +88,7 @@ def check_size(net: FlowNet, width: int, height: int) -> None:
     if width % stride or height % stride or width < 1 or height < 1:
         nearest = [max(1, round(side / stride)) * stride for side in (width, height)]
         raise ValueError(
-            f"size {width}x{height} would be fixed in the file and must be a multiple of the network's stride {stride}: "
+            f"size {width}x{height} is fixed in the file and must be a multiple of the network's stride {stride}: "
             f"give for example {nearest[0]}x{nearest[1]}, and resize or pad the frames to it"
         )
 
