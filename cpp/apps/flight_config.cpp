@@ -158,45 +158,51 @@ void read_safety(YamlSection section, FlightConfig& config) {
 }
 
 void read_task(YamlSection section, FlightConfig& config) {
-  flight::PilotOptions& pilot = config.pilot;
-  int kind = static_cast<int>(pilot.task);
+  skills::SkillOptions& skill = config.skill;
+  int kind = static_cast<int>(skill.task);
   section.read_choice("kind", {"dodge", "navigate", "gap"}, kind);
-  pilot.task = static_cast<flight::Task>(kind);
-  section.read("max_interval_s", pilot.max_interval_s);
-  section.read("horizontal_fov_rad", pilot.horizontal_fov_rad);
-  section.read("use_gyro", pilot.use_gyro);
+  skill.task = static_cast<skills::Task>(kind);
+  section.read("max_interval_s", skill.max_interval_s);
+  section.read("planning_rate_hz", skill.planning_rate_hz);
+  section.read("horizontal_fov_rad", skill.horizontal_fov_rad);
+  section.read("camera_pitch_rad", config.loop.camera_pitch_rad);
+  section.read("use_attitude", config.loop.use_attitude);
   YamlSection dodge = section.section("dodge");
-  dodge.read("speed_m_s", pilot.dodge_policy.speed_m_s);
-  dodge.read("hold_s", pilot.dodge_policy.hold_s);
-  dodge.read("max_down_m_s", pilot.dodge_policy.max_down_m_s);
-  dodge.read("min_contrast", pilot.dodge.min_contrast);
-  dodge.read("min_uncertainty", pilot.dodge.min_uncertainty);
-  dodge.read("confirm_frames", pilot.dodge.confirm_frames);
+  dodge.read("speed_m_s", skill.dodge_policy.speed_m_s);
+  dodge.read("hold_s", skill.dodge_policy.hold_s);
+  dodge.read("max_down_m_s", skill.dodge_policy.max_down_m_s);
+  dodge.read("min_contrast", skill.dodge.min_contrast);
+  dodge.read("min_uncertainty", skill.dodge.min_uncertainty);
+  dodge.read("confirm_frames", skill.dodge.confirm_frames);
   dodge.finish();
   YamlSection navigate = section.section("navigate");
-  navigate.read("speed_m_s", pilot.navigate_policy.speed_m_s);
-  navigate.read("slow_down", pilot.navigate_policy.slow_down);
-  navigate.read("max_acceleration_m_s2", pilot.navigate_policy.max_acceleration_m_s2);
-  navigate.read("goal_bearing_rad", pilot.goal_bearing_rad);
-  navigate.read("floor", pilot.navigate.floor);
-  navigate.read("blocked", pilot.navigate.blocked);
+  navigate.read("speed_m_s", skill.navigate_policy.speed_m_s);
+  navigate.read("slow_down", skill.navigate_policy.slow_down);
+  navigate.read("max_acceleration_m_s2", skill.navigate_policy.max_acceleration_m_s2);
+  navigate.read("goal_bearing_rad", skill.goal_bearing_rad);
+  navigate.read("baseline_s", skill.baseline_s);
+  navigate.read("floor", skill.navigate.floor);
+  navigate.read("blocked", skill.navigate.blocked);
   navigate.finish();
   YamlSection gap = section.section("gap");
-  gap.read("forward_m_s", pilot.gap_policy.forward_m_s);
-  gap.read("coast_m_s", pilot.gap_policy.coast_m_s);
-  gap.read("coast_duration_s", pilot.gap_policy.coast_duration_s);
-  gap.read("aligned", pilot.gap_policy.aligned);
-  gap.read("realign", pilot.gap_policy.realign);
-  int explore = static_cast<int>(pilot.explore.kind);
+  gap.read("forward_m_s", skill.gap_policy.forward_m_s);
+  gap.read("coast_m_s", skill.gap_policy.coast_m_s);
+  gap.read("coast_duration_s", skill.gap_policy.coast_duration_s);
+  gap.read("aligned", skill.gap_policy.aligned);
+  gap.read("realign", skill.gap_policy.realign);
+  int explore = static_cast<int>(skill.explore.kind);
   gap.read_choice("explore", {"diagonal", "excited_hover"}, explore);
-  pilot.explore.kind = static_cast<control::ExploreKind>(explore);
-  gap.read("explore_speed_m_s", pilot.explore.speed_m_s);
-  gap.read("explore_duration_s", pilot.explore.duration_s);
-  gap.read("min_pairs", pilot.gap.min_pairs);
-  gap.read("max_pairs", pilot.gap.max_pairs);
+  skill.explore.kind = static_cast<control::ExploreKind>(explore);
+  gap.read("explore_speed_m_s", skill.explore.speed_m_s);
+  gap.read("first_look_s", skill.first_look_s);
+  gap.read("last_look_s", skill.last_look_s);
+  gap.read("settle_s", skill.settle_s);
+  gap.read("rest_m_s", skill.rest_m_s);
+  gap.read("rest_rad", skill.rest_rad);
+  gap.read("slew_m_s2", skill.slew_m_s2);
   gap.finish();
   section.finish();
-  flight::make_pilot(pilot);  // throws for options out of range
+  skills::validate(skill);
 }
 
 void read_log(YamlSection section, FlightConfig& config) {
@@ -222,6 +228,20 @@ void read_threads(YamlSection section, FlightConfig& config) {
   section.finish();
 }
 
+void read_simulation(YamlSection section, FlightConfig& config) {
+  section.read("time_scale", config.time_scale);
+  if (!(config.time_scale >= 0.01 && config.time_scale <= 1.0)) {
+    section.refuse("time_scale", "give 0.01 to 1");
+  }
+  // A vehicle does not slow down with the clock: every time-out would come late.
+  if (config.time_scale != 1.0 && config.endpoint.host != "127.0.0.1") {
+    section.refuse("time_scale",
+                   "a slower clock is for simulations on this computer: the endpoint must be udpout:, udpin: "
+                   "or tcp: at 127.0.0.1");
+  }
+  section.finish();
+}
+
 }  // namespace
 
 FlightConfig parse_config(const std::string& text, const std::string& name) {
@@ -238,6 +258,7 @@ FlightConfig parse_config(const std::string& text, const std::string& name) {
     read_task(root.section("task"), config);
     read_log(root.section("log"), config);
     read_threads(root.section("threads"), config);
+    read_simulation(root.section("simulation"), config);
     root.finish();
     flight::validate(config.loop);
     if (config.output == flight::OutputKind::kRcOverride &&

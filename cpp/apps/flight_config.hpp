@@ -9,7 +9,6 @@
 #include "ajna/flight/flight_log.hpp"
 #include "ajna/flight/flight_loop.hpp"
 #include "ajna/flight/link.hpp"
-#include "ajna/flight/pilot.hpp"
 #include "ajna/flight/source.hpp"
 #include "ajna/flight/transport.hpp"
 
@@ -27,9 +26,10 @@ struct FlightConfig {
   flight::OutputKind output = flight::OutputKind::kRcOverride;
   flight::RcOutputOptions rc;
   flight::AttitudeOutputOptions attitude;
-  flight::PilotOptions pilot;
+  skills::SkillOptions skill;
   flight::LoopOptions loop;
   flight::LogOptions log;
+  double time_scale = 1.0;  ///< of the clock, below 1 for simulations that are slower than time
 };
 
 /// Read and validate the text of a configuration file; every key is optional but model.path, source.kind, source.path,

@@ -127,7 +127,7 @@ void log_start(flight::FlightLog& log, const FlightConfig& config, const engine:
                 .add("model", info.name)
                 .add("model_path", info.path)
                 .add("precision", info.precision)
-                .add("task", flight::to_string(config.pilot.task))
+                .add("task", skills::to_string(config.skill.task))
                 .add("source", flight::to_string(config.source.kind))
                 .add("endpoint", config.endpoint_text)
                 .add("output", flight::to_string(config.output))
@@ -171,15 +171,19 @@ int fly(const std::string& config_path, bool dry_run) {
   check_files(config);
   config.loop.dry_run = dry_run;
   config.link.listen_only = dry_run;
+  flight::slow_time(config.time_scale);
   const sigset_t ends = take_signals();
   write_from_a_thread();
+  if (config.time_scale != 1.0) {
+    spdlog::warn("the clock runs at {} of time: for simulations only", config.time_scale);
+  }
 
   auto engine = std::make_shared<engine::FlowEngine>(engine::FlowEngine::load(config.model_path, config.engine));
   const auto& info = engine->info();
   cv::setNumThreads(std::max(config.engine.threads, 1));
   spdlog::info("model {} ({}, {} parameters, {} on {})", info.name, info.format, info.parameters, info.precision,
                info.device);
-  const flight::InferFunction infer = [engine](const ImageView& a, const ImageView& b, FlowField& field,
+  const skills::InferFunction infer = [engine](const ImageView& a, const ImageView& b, FlowField& field,
                                                double time_s) { engine->infer_into(a, b, field, time_s); };
   engine->warm_up(config.loop.width, config.loop.height);
   flight::test_model(infer, config.loop.width, config.loop.height);
@@ -199,8 +203,7 @@ int fly(const std::string& config_path, bool dry_run) {
   };
   parts.source_ends =
       config.source.kind == flight::SourceKind::kFolder || config.source.kind == flight::SourceKind::kVideo;
-  parts.infer = infer;
-  parts.pilot = flight::make_pilot(config.pilot);
+  parts.skill = skills::make_skill(config.skill, skills::network_signal(infer, config.skill.horizontal_fov_rad));
   parts.link = std::make_unique<flight::Link>(
       flight::make_transport(config.endpoint), config.link, config.output,
       config.signing_key_file.empty() ? std::nullopt : std::optional(load_signing_key(config.signing_key_file)));

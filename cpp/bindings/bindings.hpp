@@ -18,6 +18,7 @@ void bind_io(pybind11::module_& m);  ///< images, flow files, video
 void bind_geometry(pybind11::module_& m);
 void bind_control(pybind11::module_& m);
 void bind_tasks(pybind11::module_& m);
+void bind_skills(pybind11::module_& m);
 #endif
 
 }  // namespace ajna::bindings

@@ -14,6 +14,7 @@ PYBIND11_MODULE(_core, m) {
   ajna::bindings::bind_geometry(m);
   ajna::bindings::bind_control(m);
   ajna::bindings::bind_tasks(m);
+  ajna::bindings::bind_skills(m);
   m.attr("with_vision") = true;
 #else
   m.attr("with_vision") = false;

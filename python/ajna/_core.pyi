@@ -658,6 +658,10 @@ class NetConfig:
     @property
     def stride(self) -> int: ...
 
+class NetworkSignal:
+    def __init__(self, engine: FlowEngine, horizontal_fov_rad: float) -> None: ...
+    def __call__(self, first: Snapshot, second: Snapshot, common: str = ...) -> NDArray[np.float32]: ...
+
 class PairBatch:
     @property
     def flow(self) -> Tensor: ...
@@ -812,6 +816,83 @@ class SegmentResult:
     def status(self) -> str: ...
     @property
     def steps(self) -> MapSteps: ...
+
+class Skill:
+    def __init__(
+        self, options: SkillOptions, signal: NetworkSignal | Callable[[Snapshot, Snapshot, str], NDArray[np.float32]]
+    ) -> None: ...
+    def begin(self) -> None: ...
+    def plan(
+        self,
+        time_s: float,
+        frame: NDArray[np.uint8] | None = ...,
+        heading_from_camera: ArrayLike | None = ...,
+        yaw_rad: float = ...,
+        velocity_m_s: ArrayLike | None = ...,
+        goal: ArrayLike | None = ...,
+        too_high_m: float = ...,
+        tag: Any = ...,
+    ) -> SkillOutput: ...
+    def remember(
+        self,
+        time_s: float,
+        frame: NDArray[np.uint8] | None = ...,
+        heading_from_camera: ArrayLike | None = ...,
+        yaw_rad: float = ...,
+        tag: Any = ...,
+    ) -> None: ...
+
+class SkillOptions:
+    task: str
+    horizontal_fov_rad: float
+    planning_rate_hz: float
+    max_interval_s: float
+    goal_bearing_rad: float
+    dodge: DodgeOptions
+    dodge_policy: DodgePolicyOptions
+    navigate: NavigateOptions
+    navigate_policy: NavigatePolicyOptions
+    baseline_s: float
+    height_gain: float
+    largest_slope: float
+    gap: GapOptions
+    gap_policy: GapPolicyOptions
+    explore: ExploreOptions
+    settle_s: float
+    rest_m_s: float
+    rest_rad: float
+    first_look_s: float
+    last_look_s: float
+    slew_m_s2: float
+    def __init__(self) -> None: ...
+
+class SkillOutput:
+    @property
+    def command(self) -> Command: ...
+    @property
+    def decided(self) -> bool: ...
+    @property
+    def mask(self) -> NDArray[np.bool_] | None: ...
+    @property
+    def point_px(self) -> NDArray[np.float64] | None: ...
+    @property
+    def status(self) -> str: ...
+    @property
+    def valid(self) -> bool: ...
+
+class Snapshot:
+    def __init__(
+        self,
+        time_s: float,
+        frame: NDArray[np.uint8] | None = ...,
+        heading_from_camera: ArrayLike | None = ...,
+        yaw_rad: float = ...,
+        tag: Any = ...,
+    ) -> None: ...
+    @property
+    def tag(self) -> Any: ...
+    @property
+    def time_s(self) -> float: ...
 
 class TermSpec:
     name: str

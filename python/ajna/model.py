@@ -146,6 +146,11 @@ class Model:
         """Name, file, format, device, loss, parameters, provenance, and whether and on what it is calibrated."""
         return self._engine.info
 
+    @property
+    def engine(self) -> FlowEngine:
+        """The C++ engine, for what takes one (:class:`ajna.tasks.NetworkSignal`)."""
+        return self._engine
+
     @cached_property
     def sha256(self) -> str:
         """SHA-256 of the model's file, in hexadecimal."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Four robot skills from uncertainty alone (the C++ libraries ``tasks``, ``control`` and ``geometry``).
+"""Four robot skills from uncertainty alone (the C++ libraries ``tasks``, ``control``, ``skills`` and ``geometry``).
 
     from ajna import tasks
 
@@ -8,7 +8,8 @@
     command = policy.update(result.safe_direction, time_s)  # what to do about it
 
 Pipelines turn maps of uncertainty into masks, regions, points and directions, policies turn those into commands. Every
-result has a ``status``; what a pipeline cannot know it says, and leaves out.
+result has a ``status``; what a pipeline cannot know it says, and leaves out. :class:`Skill` puts signal, pipeline and
+policy of one task together, as the flight program and the simulation fly them.
 """
 
 from __future__ import annotations
@@ -51,10 +52,15 @@ from ajna._core import (
     NavigatePolicy,
     NavigatePolicyOptions,
     NavigateResult,
+    NetworkSignal,
     Pid,
     PidOptions,
     SegmentOptions,
     SegmentResult,
+    Skill,
+    SkillOptions,
+    SkillOutput,
+    Snapshot,
     align_to,
     derotate_flow,
     derotate_frame,
@@ -101,10 +107,15 @@ __all__ = [
     "NavigatePolicy",
     "NavigatePolicyOptions",
     "NavigateResult",
+    "NetworkSignal",
     "Pid",
     "PidOptions",
     "SegmentOptions",
     "SegmentResult",
+    "Skill",
+    "SkillOptions",
+    "SkillOutput",
+    "Snapshot",
     "align_to",
     "command_dict",
     "derotate_flow",

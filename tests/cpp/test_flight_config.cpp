@@ -71,10 +71,10 @@ TEST(FlightConfig, TheDocumentedExampleIsValidAndStatesTheDefaults) {
     EXPECT_EQ(example.rc.sticks[i].rate_us_s, plain.rc.sticks[i].rate_us_s);
   }
   EXPECT_EQ(example.attitude.max_tilt_rad, plain.attitude.max_tilt_rad);
-  EXPECT_EQ(example.pilot.dodge_policy.speed_m_s, plain.pilot.dodge_policy.speed_m_s);
-  EXPECT_EQ(example.pilot.navigate_policy.speed_m_s, plain.pilot.navigate_policy.speed_m_s);
-  EXPECT_EQ(example.pilot.gap_policy.forward_m_s, plain.pilot.gap_policy.forward_m_s);
-  EXPECT_EQ(example.pilot.explore.duration_s, plain.pilot.explore.duration_s);
+  EXPECT_EQ(example.skill.dodge_policy.speed_m_s, plain.skill.dodge_policy.speed_m_s);
+  EXPECT_EQ(example.skill.navigate_policy.speed_m_s, plain.skill.navigate_policy.speed_m_s);
+  EXPECT_EQ(example.skill.gap_policy.forward_m_s, plain.skill.gap_policy.forward_m_s);
+  EXPECT_EQ(example.skill.last_look_s, plain.skill.last_look_s);
 }
 
 TEST(FlightConfig, UnknownKeysAreRefusedWithTheNearest) {
@@ -98,13 +98,22 @@ TEST(FlightConfig, ValuesOutOfRangeAreRefused) {
   expect_refused("threads: {tick_s: 1}", "tick_s");
   expect_refused("threads: {control_cpus: 3}", "list");
   expect_refused("threads: {control_cpus: [-1]}", "CPU");
-  expect_refused("task: {use_gyro: yes}", "neither true nor false");
+  expect_refused("task: {use_attitude: yes}", "neither true nor false");
   expect_refused("task: {horizontal_fov_rad: 4}", "fov");
   expect_refused("output: {rc: {right: {min_us: 500}}}", "1000 to 2000");
   expect_refused("output: {rc: {right: {channel: 8}}}", "must stay the pilot's");
   expect_refused("output: {rc: {right: {channel: 2}}}", "two axes");
   expect_refused("output: {attitude: {max_tilt_rad: 2}}", "max_tilt_rad");
   expect_refused("output: {kind: sticks}", "rc_override");
+  expect_refused("simulation: {time_scale: 0}", "0.01 to 1");
+}
+
+TEST(FlightConfig, ASlowClockIsForSimulationsOnly) {
+  expect_refused("simulation: {time_scale: 0.5}", "127.0.0.1");
+  std::string text = replaced(kSmallest, "serial:/dev/serial0:921600", "udpout:127.0.0.1:14550");
+  EXPECT_EQ(parse_config(text + "simulation: {time_scale: 0.5}", "test.yaml").time_scale, 0.5);
+  text = replaced(kSmallest, "serial:/dev/serial0:921600", "udpin:0.0.0.0:14550");
+  EXPECT_NE(refusal(text + "simulation: {time_scale: 0.5}").find("127.0.0.1"), std::string::npos);
 }
 
 TEST(FlightConfig, EachNeededKeyIsAskedFor) {

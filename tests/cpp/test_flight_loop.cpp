@@ -100,7 +100,7 @@ class FlightLoopTest : public ::testing::Test {
     LoopParts parts;
     parts.open_source = [this] { return std::make_unique<TestSource>(camera); };
     parts.source_ends = source_ends;
-    parts.infer = [this](const ImageView& frame1, const ImageView&, FlowField& field, double time_s) {
+    const auto infer = [this](const ImageView& frame1, const ImageView&, FlowField& field, double time_s) {
       std::this_thread::sleep_for(std::chrono::milliseconds(infer_ms.load()));
       if (infer_fails) {
         throw_runtime("the network gave NaN");
@@ -116,7 +116,7 @@ class FlightLoopTest : public ::testing::Test {
       field.uncertainty.assign(size, 0.1F);
       field.expected_error.assign(size, 0.1F);
     };
-    parts.pilot = make_pilot({});
+    parts.skill = skills::make_skill({}, skills::network_signal(infer, 1.2));
     parts.link =
         std::make_unique<Link>(std::make_unique<AutopilotTransport>(vehicle), LinkOptions{}, OutputKind::kRcOverride);
     parts.output = make_rc_output({});

@@ -14,11 +14,12 @@
 #include <vector>
 
 #include "ajna/base/error.hpp"
+#include "ajna/flight/attitude_history.hpp"
 #include "ajna/flight/emergency.hpp"
 #include "ajna/flight/flight_log.hpp"
 #include "ajna/flight/json_line.hpp"
 #include "ajna/flight/latency.hpp"
-#include "ajna/flight/rate_history.hpp"
+#include "ajna/flight/latest.hpp"
 #include "ajna/flight/self_test.hpp"
 #include "ajna/flight/source.hpp"
 #include "ajna/io/image_io.hpp"
@@ -91,14 +92,50 @@ TEST(Latency, QuantilesAreUpperBinEdges) {
   EXPECT_DOUBLE_EQ(histogram.quantile_ms(1.0), 12000.0);
 }
 
-TEST(RateHistory, MeansOverTheInterval) {
-  RateHistory history;
-  EXPECT_FALSE(history.mean(0.0, 1.0).has_value());
-  history.add({{1.0, {1, 0, 0}}, {1.02, {2, 0, 0}}, {1.04, {3, 0, 0}}});
-  EXPECT_NEAR(history.mean(1.01, 1.05)->x(), 2.5, 1e-12);
-  EXPECT_NEAR(history.mean(1.05, 1.06)->x(), 3.0, 1e-12);
-  EXPECT_FALSE(history.mean(1.5, 1.6).has_value());
-  EXPECT_EQ(optical_from_body({1, 2, 3}), Eigen::Vector3d(2, 3, 1));
+TEST(Latest, KeepsTheOneBefore) {
+  Latest<int> place;
+  std::optional<int> before = 7;
+  place.put(1);
+  EXPECT_EQ(place.take(0.0, &before), 1);
+  EXPECT_FALSE(before) << "nothing was overwritten";
+  place.put(2);
+  place.put(3);
+  place.put(4);
+  EXPECT_EQ(place.take(0.0, &before), 4);
+  EXPECT_EQ(before, 3);
+  EXPECT_EQ(place.dropped(), 2U);
+  EXPECT_FALSE(place.take(0.0, &before));
+  EXPECT_FALSE(before);
+}
+
+TEST(AttitudeHistory, BetweenSamplesAndALittleBeyond) {
+  AttitudeHistory history;
+  EXPECT_FALSE(history.at(0.0).has_value());
+  const Eigen::Vector3d rates(0, 0, 2.0);
+  history.add({{1.0, {0, 0, 3.1}, rates}, {1.1, {0, 0, 3.3}, rates}});  // through half a turn
+  const auto yaw_at = [&](double time_s) { return history.at(time_s)->yaw_rad; };
+  EXPECT_NEAR(yaw_at(1.0), 3.1, 1e-9);
+  EXPECT_NEAR(std::remainder(yaw_at(1.05) - 3.2, 2 * M_PI), 0.0, 1e-9);
+  EXPECT_NEAR(std::remainder(yaw_at(1.15) - 3.4, 2 * M_PI), 0.0, 1e-9) << "by its rates";
+  EXPECT_FALSE(history.at(1.21).has_value());
+  EXPECT_FALSE(history.at(0.99).has_value());
+  history.add({{2.0, {0, 0, 0}, rates}});
+  EXPECT_FALSE(history.at(1.5).has_value()) << "too far from both";
+}
+
+TEST(AttitudeHistory, AxesOfTheCamera) {
+  AttitudeHistory history;
+  // Nose up by 0.2, camera up by 0.1, heading east.
+  history.add({{1.0, {0, 0.2, M_PI / 2}, {0, 0, 0}}});
+  const auto attitude = history.at(1.0, 0.1);
+  ASSERT_TRUE(attitude);
+  EXPECT_NEAR(attitude->yaw_rad, M_PI / 2, 1e-12);
+  const Eigen::Vector3d axis = attitude->heading_from_camera.col(2);  // optical axis: ahead and up by 0.3
+  EXPECT_NEAR((axis - Eigen::Vector3d(std::cos(0.3), 0, -std::sin(0.3))).norm(), 0.0, 1e-12);
+  const Eigen::Vector3d east = attitude->world_from_camera().col(2);
+  EXPECT_NEAR((east - Eigen::Vector3d(0, std::cos(0.3), -std::sin(0.3))).norm(), 0.0, 1e-12);
+  history.add({{1.1, {0.3, 0, 0}, {0, 0, 0}}});  // right side down: the camera's right axis points down
+  EXPECT_NEAR(history.at(1.1)->heading_from_camera(2, 0), std::sin(0.3), 1e-12);
 }
 
 FlowField field_of(const ImageView& frame, float flow, float uncertainty) {
@@ -123,7 +160,7 @@ TEST(SelfTest, RefusesWhatIsNoNetwork) {
     return field;
   };
   EXPECT_NO_THROW(test_model([&](auto& a, auto& b, FlowField& f, double) { f = varied(a, b); }, 64, 48));
-  const auto refused = [](const InferFunction& infer, const char* word) {
+  const auto refused = [](const skills::InferFunction& infer, const char* word) {
     try {
       test_model(infer, 64, 48);
       ADD_FAILURE() << "accepted: " << word;

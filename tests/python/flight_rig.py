@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import os
-import socket
 import subprocess
 import threading
 import time
@@ -15,9 +14,9 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-
-# The module itself, so that MAVLink 2 is spoken whatever MAVLINK20 says.
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from ajna.mavlink_vehicle import MavlinkVehicle
 
 WIDTH, HEIGHT = 64, 48
 SWITCH = 8
@@ -38,116 +37,35 @@ PATIENT = (
 )
 
 
-class Autopilot:
-    """An ArduPilot copter as its companion sees it: streams, parameters, overrides. Everything is scripted by the test.
+class Autopilot(MavlinkVehicle):
+    """A vehicle that is scripted by the test and remembers what it was told.
 
     ``overrides`` and ``releases`` are the times at which RC_CHANNELS_OVERRIDE messages came that override channel 1, or
-    release it; ``heard`` is every message with its time.
+    release it; ``heard`` is every message with its time; ``unsafe``: overrides at a time when there should be none.
     """
 
     def __init__(self) -> None:
-        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.socket.bind(("127.0.0.1", 0))
-        self.socket.settimeout(0.004)
-        self.port: int = self.socket.getsockname()[1]
-        self.peer: Any = None
-        self.mav = mavlink.MAVLink(self, srcSystem=1, srcComponent=1)
-        self.mav.robust_parsing = True
-        self.parameters = {"SYSID_MYGCS": 255.0, "RC_OVERRIDE_TIME": 1.0, "RC_OPTIONS": 32.0}
-        self.armed = True
-        self.mode: int = mavlink.COPTER_MODE_LOITER
-        self.switch_us = 1000
-        self.silent = False
         self.heard: list[tuple[float, Any]] = []
         self.overrides: list[float] = []
         self.releases: list[float] = []
         self.pulses: list[tuple[float, list[int]]] = []
-        self.unsafe: list[str] = []  # overrides at a time when there should be none
-        self._channels = [0] * 18
-        self._heartbeat_s = 1.0
-        self._asked: list[str] = []
-        self._stop = False
+        self.unsafe: list[str] = []
         self._changed_s = 0.0
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
-
-    def write(self, data: bytes) -> None:
-        if self.peer is not None:
-            self.socket.sendto(data, self.peer)
-
-    def close(self) -> None:
-        self._stop = True
-        self._thread.join()
-        self.socket.close()
+        super().__init__(SWITCH)
 
     def ready(self, armed: bool = True, mode: int = mavlink.COPTER_MODE_LOITER) -> None:
         self.armed, self.mode = armed, mode
         self._changed_s = time.monotonic()
 
-    @property
-    def overridden(self) -> bool:
-        return self._channels[0] != 0
-
-    def _run(self) -> None:
-        due = dict.fromkeys(("heartbeat", "status", "rc", "attitude"), 0.0)
-        while not self._stop:
-            try:
-                data, self.peer = self.socket.recvfrom(4096)
-            except (TimeoutError, ConnectionError):
-                data = b""
-            now = time.monotonic()
-            for message in self.mav.parse_buffer(data) or [] if data else []:
-                self._take(now, message)
-            if self.silent or self.peer is None:
-                continue
-            every = {"heartbeat": self._heartbeat_s, "status": 0.2, "rc": 0.04, "attitude": 0.04}
-            for name, period in every.items():
-                if now - due[name] >= period:
-                    due[name] = now
-                    getattr(self, f"_send_{name}")()
-            for name in self._asked:
-                if name in self.parameters:
-                    self.mav.param_value_send(name.encode(), self.parameters[name], 9, 1000, 0)
-            self._asked.clear()
-
-    def _send_heartbeat(self) -> None:
-        armed = mavlink.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0
-        self.mav.heartbeat_send(
-            mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 1 | armed, self.mode, 4
-        )
-
-    def _send_status(self) -> None:
-        receiver = mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
-        self.mav.sys_status_send(receiver, receiver, receiver, 0, 12000, 0, 90, 0, 0, 0, 0, 0, 0)
-
-    def _send_rc(self) -> None:
-        channels = [pulse or 1500 for pulse in self._channels]
-        channels[SWITCH - 1] = self.switch_us
-        self.mav.rc_channels_send(0, 16, *channels, 200)
-
-    def _send_attitude(self) -> None:
-        self.mav.attitude_send(0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-
     def _take(self, now: float, message: Any) -> None:
         self.heard.append((now, message))
-        kind = message.get_type()
-        if kind == "PARAM_REQUEST_READ":
-            self._asked.append(message.param_id)
-        elif kind == "COMMAND_LONG" and message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
-            if message.param1 == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
-                self._heartbeat_s = message.param2 * 1e-6
-        elif kind == "RC_CHANNELS_OVERRIDE":
-            self._override(now, [getattr(message, f"chan{i}_raw") for i in range(1, 19)])
+        super()._take(now, message)
 
     def _override(self, now: float, wire: list[int]) -> None:
-        """As ArduPilot reads it: 0 releases and 65535 ignores below channel 9; 65534 releases and both ignore above."""
-        for i, value in enumerate(wire):
-            if value == 65535 or (i >= 8 and value == 0):
-                continue
-            self._channels[i] = 0 if (i < 8 and value == 0) or (i >= 8 and value == 65534) else value
+        super()._override(now, wire)
         if self.overridden:
             self.overrides.append(now)
-            self.pulses.append((now, list(self._channels)))
+            self.pulses.append((now, list(self.channels)))
             allowed = self.armed and self.mode == mavlink.COPTER_MODE_LOITER and self.switch_us > 1700
             if not allowed and now - self._changed_s > 0.2:
                 self.unsafe.append(f"armed {self.armed}, mode {self.mode}, switch {self.switch_us}")

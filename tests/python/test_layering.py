@@ -33,7 +33,8 @@ TABLE: dict[str, tuple[set[str], set[str], tuple[str, ...]]] = {
     "engine": ({"base"}, {"nn"}, TORCH),
     "io": ({"base"}, set(), OPENCV),
     "tasks": ({"base", "geometry"}, set(), OPENCV + EIGEN),
-    "flight": ({"base", "geometry", "io", "engine", "tasks", "control"}, set(), (*EIGEN, "mavlink/")),
+    "skills": ({"base", "geometry", "tasks", "control"}, set(), OPENCV + EIGEN),
+    "flight": ({"base", "geometry", "io", "engine", "tasks", "control", "skills"}, set(), (*EIGEN, "mavlink/")),
 }
 POSIX = {"dirent.h", "fcntl.h", "sys/stat.h", "sys/types.h", "unistd.h"}
 POSIX |= {"netdb.h", "netinet/in.h", "netinet/tcp.h", "poll.h", "sched.h", "sys/inotify.h", "sys/socket.h", "termios.h"}

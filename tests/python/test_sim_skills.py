@@ -14,13 +14,14 @@ pytest.importorskip("mujoco")
 pytest.importorskip("cv2")
 
 import ajna
+from ajna import tasks
 from ajna.sim import Frame, make_method, make_world, occlusion_and_flow
 from ajna.sim.benchmark import EXPERIMENTS
 from ajna.sim.camera import CameraModel
 from ajna.sim.episode import run_episode, true_mask
 from ajna.sim.gl import NoRenderingError, rendering_backend
 from ajna.sim.methods import METHODS
-from ajna.sim.methods.signals import occlusion_jump
+from ajna.sim.methods.signals import Source, occlusion_jump
 from ajna.sim.methods.skills import PAPERS_VEHICLE, SkillMethod, Timing
 from ajna.sim.observation import Observation, TaskSetup
 from ajna.sim.render import Renderer
@@ -78,10 +79,13 @@ class Disc:
     def __init__(self) -> None:
         self.calls = 0
 
-    def __call__(self, first: Observation, second: Observation, common: str = "none") -> np.ndarray:
+    def source(self, camera: CameraModel) -> Source:
+        return self._seen
+
+    def _seen(self, first: tasks.Snapshot, second: tasks.Snapshot, common: str) -> np.ndarray:
         self.calls += 1
         y, x = np.mgrid[:240, :320]
-        disc = np.hypot(x - 220, y - 120) <= 8 + 90 * first.frame.time_s
+        disc = np.hypot(x - 220, y - 120) <= 8 + 90 * first.time_s
         return np.where(disc, np.float32(1.6), np.float32(0.2)).astype(np.float32)
 
 

@@ -90,7 +90,7 @@ SafetyDecision ControlLoop::tick(double now_s) {
     began_s_ = now_s;
   }
   link_.service(now_s, safety_.state() == SafetyState::kActive);
-  board_.rates.add(link_.take_rates());
+  board_.attitudes.add(link_.take_attitudes());
   board_.vehicle_moved(link_.vehicle().motion(now_s));
   const Perceived perceived = board_.perceived();
   if (perceived.commands != latency_command_ && perceived.command_frame_s) {

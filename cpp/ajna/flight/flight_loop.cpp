@@ -54,6 +54,8 @@ void validate(const LoopOptions& options) {
   require(options.width >= 16 && options.width <= 4096 && options.height >= 16 && options.height <= 4096,
           "network.width_px and height_px: give 16 to 4096");
   require(options.deadline_s >= 0.01 && options.deadline_s <= 1.0, "network.deadline_s: give 0.01 to 1");
+  require(options.camera_pitch_rad >= -1.5 && options.camera_pitch_rad <= 1.5,
+          "task.camera_pitch_rad: give -1.5 to 1.5");
   require(options.max_damaged_frames >= 1 && options.max_damaged_frames <= 100, "max_damaged_frames: give 1 to 100");
   require(options.tick_s >= 0.002 && options.tick_s <= 0.04, "tick_s: give 0.002 to 0.04");
   require(options.command_every_s >= 0.01 && options.command_every_s <= 0.1, "command_every_s: give 0.01 to 0.1");
@@ -145,7 +147,8 @@ struct FlightLoop::Impl {
     }
     std::uint64_t activation = 0;
     while (!board.ended.load()) {
-      const auto frame = newest.take(kWait_s);
+      std::optional<CapturedFrame> before;
+      const auto frame = newest.take(kWait_s, &before);
       if (!frame) {
         continue;
       }
@@ -154,6 +157,9 @@ struct FlightLoop::Impl {
         continue;
       }
       try {
+        if (before) {
+          parts.skill->remember(Prepared(*before, *this).input);
+        }
         step(*frame, activation);
       } catch (const std::exception& error) {
         // The next frame may do; until then nothing of this one is used.
@@ -164,35 +170,43 @@ struct FlightLoop::Impl {
     }
   }
 
+  /// A frame as the skill takes it, with what the autopilot said of that time.
+  struct Prepared {
+    Image resized;
+    skills::SkillInput input;
+
+    Prepared(const CapturedFrame& frame, const Impl& flight) {
+      const LoopOptions& wanted = flight.options;
+      const bool fits = frame.image.width() == wanted.width && frame.image.height() == wanted.height;
+      if (!fits) {
+        resized = io::resize_image(frame.image.view(), wanted.width, wanted.height);
+      }
+      input.frame = fits ? frame.image.view() : resized.view();
+      input.captured_s = frame.captured_s;
+      input.velocity_m_s = flight.board.motion().velocity_m_s;
+      if (wanted.use_attitude) {
+        input.attitude = flight.board.attitudes.at(frame.captured_s, wanted.camera_pitch_rad);
+      }
+    }
+    Prepared(const Prepared&) = delete;
+    Prepared& operator=(const Prepared&) = delete;
+  };
+
   void step(const CapturedFrame& frame, std::uint64_t& activation) {
     const double began = monotonic_s();
-    Image resized;
-    const bool fits = frame.image.width() == options.width && frame.image.height() == options.height;
-    if (!fits) {
-      resized = io::resize_image(frame.image.view(), options.width, options.height);
-    }
-    const VehicleMotion motion = board.motion();
-    PilotInput input;
-    input.frame = fits ? frame.image.view() : resized.view();
-    input.captured_s = frame.captured_s;
-    input.yaw_rad = motion.yaw_rad;
-    input.velocity_m_s = motion.velocity_m_s;
-    input.rates = [this](double from_s, double to_s) -> std::optional<Eigen::Vector3d> {
-      const auto body = board.rates.mean(from_s, to_s);
-      return body ? std::optional<Eigen::Vector3d>(optical_from_body(*body)) : std::nullopt;
-    };
+    const Prepared prepared(frame, *this);
     if (const auto now = board.activations.load(); now != activation) {
       activation = now;
-      parts.pilot->begin(input);
+      parts.skill->begin();
     }
-    const PilotOutput output = parts.pilot->step(input, parts.infer);
+    const skills::SkillOutput output = parts.skill->plan(prepared.input);
     if (output.valid) {
       board.command_made(output.command, frame.captured_s);
     }
     log_frame(frame, output, monotonic_s() - began);
   }
 
-  void log_frame(const CapturedFrame& frame, const PilotOutput& output, double duration_s) const {
+  void log_frame(const CapturedFrame& frame, const skills::SkillOutput& output, double duration_s) const {
     if (parts.log == nullptr) {
       return;
     }

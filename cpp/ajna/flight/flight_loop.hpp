@@ -12,9 +12,9 @@
 #include "ajna/flight/flight_log.hpp"
 #include "ajna/flight/latency.hpp"
 #include "ajna/flight/link.hpp"
-#include "ajna/flight/pilot.hpp"
 #include "ajna/flight/safety.hpp"
 #include "ajna/flight/source.hpp"
+#include "ajna/skills/skill.hpp"
 
 namespace ajna::flight {
 
@@ -25,6 +25,8 @@ struct LoopOptions {
   int width = 320;                           ///< of the network's frames, pixels
   int height = 240;
   double deadline_s = 0.1;           ///< a frame older than this is not looked at any more
+  bool use_attitude = true;          ///< take the vehicle's turning and tilt out of what is seen
+  double camera_pitch_rad = 0.0;     ///< of the camera, up from the body's forward axis
   int max_damaged_frames = 3;        ///< so many in a row count as no camera
   double tick_s = 0.01;              ///< of the control loop
   double command_every_s = 0.04;     ///< a command is sent again at least so often
@@ -42,8 +44,7 @@ using Say = std::function<void(Level, const std::string&)>;
 struct LoopParts {
   std::function<std::unique_ptr<FrameSource>()> open_source;  ///< again after a camera has failed
   bool source_ends = false;                                   ///< recorded: the program ends with it
-  InferFunction infer;                                        ///< has passed its self-test
-  std::unique_ptr<Pilot> pilot;
+  std::unique_ptr<skills::Skill> skill;                       ///< its network has passed its self-test
   std::unique_ptr<Link> link;
   std::unique_ptr<CommandOutput> output;
   FlightLog* log = nullptr;

@@ -19,15 +19,18 @@ class Latest {
     {
       const std::lock_guard lock(mutex_);
       dropped_ += value_ ? 1 : 0;
-      value_ = std::move(value);
+      before_ = std::exchange(value_, std::move(value));
     }
     changed_.notify_one();
   }
 
-  /// The newest value, once; waits up to `timeout_s` for one.
-  std::optional<T> take(double timeout_s) {
+  /// The newest value, once; waits up to `timeout_s` for one. before: the one that it overwrote, if there is one.
+  std::optional<T> take(double timeout_s, std::optional<T>* before = nullptr) {
     std::unique_lock lock(mutex_);
     changed_.wait_for(lock, std::chrono::duration<double>(timeout_s), [this] { return value_.has_value(); });
+    if (before != nullptr) {
+      *before = std::exchange(before_, std::nullopt);
+    }
     return std::exchange(value_, std::nullopt);
   }
 
@@ -40,6 +43,7 @@ class Latest {
   mutable std::mutex mutex_;
   std::condition_variable changed_;
   std::optional<T> value_;
+  std::optional<T> before_;
   std::uint64_t dropped_ = 0;
 };
 

@@ -12,7 +12,7 @@ constexpr double kHeartbeatEvery_s = 1.0;
 constexpr double kAskStreamsEvery_s = 3.0;
 constexpr double kMotionAge_s = 0.5;
 constexpr double kSysStatusRate_hz = 5.0;
-constexpr std::size_t kRateSamples = 256;
+constexpr std::size_t kAttitudes = 256;
 constexpr std::size_t kNotes = 32;
 /// An autopilot that was silent for so long may have restarted with other parameters.
 constexpr double kSilence_s = 5.0;
@@ -98,9 +98,9 @@ void Link::take(const Received& frame, double now_s) {
   } else if (const auto* attitude = std::get_if<AttitudeMessage>(&frame.message)) {
     vehicle_.attitude = *attitude;
     vehicle_.attitude_s = now_s;
-    const auto& rates = attitude->rates_rad_s;
-    if (rates_.size() < kRateSamples) {
-      rates_.push_back({now_s, {rates[0], rates[1], rates[2]}});
+    if (attitudes_.size() < kAttitudes) {
+      attitudes_.push_back(
+          {now_s, Eigen::Vector3d(attitude->euler_rad.data()), Eigen::Vector3d(attitude->rates_rad_s.data())});
     }
   } else if (const auto* velocity = std::get_if<VelocityMessage>(&frame.message)) {
     vehicle_.velocity = *velocity;
@@ -168,6 +168,6 @@ void Link::service(double now_s, bool active) {
   }
 }
 
-std::vector<RateSample> Link::take_rates() { return std::exchange(rates_, {}); }
+std::vector<AttitudeSample> Link::take_attitudes() { return std::exchange(attitudes_, {}); }
 
 }  // namespace ajna::flight

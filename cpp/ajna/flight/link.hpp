@@ -10,10 +10,10 @@
 #include <string>
 #include <vector>
 
+#include "ajna/flight/attitude_history.hpp"
 #include "ajna/flight/codec.hpp"
 #include "ajna/flight/command_output.hpp"
 #include "ajna/flight/parameters.hpp"
-#include "ajna/flight/rate_history.hpp"
 #include "ajna/flight/transport.hpp"
 
 namespace ajna::flight {
@@ -61,8 +61,8 @@ class Link {
   [[nodiscard]] const ParameterCheck& parameters() const noexcept { return parameters_; }
   [[nodiscard]] MavlinkCodec& codec() noexcept { return codec_; }
   [[nodiscard]] const Transport& transport() const noexcept { return *transport_; }
-  /// Angular velocities that have come since the last call.
-  std::vector<RateSample> take_rates();
+  /// Attitudes that have come since the last call.
+  std::vector<AttitudeSample> take_attitudes();
   /// Sentences for people since the last call: other systems heard, texts of the autopilot.
   std::vector<std::string> take_notes();
 
@@ -79,7 +79,7 @@ class Link {
   MavlinkCodec codec_;
   ParameterCheck parameters_;
   VehicleState vehicle_;
-  std::vector<RateSample> rates_;
+  std::vector<AttitudeSample> attitudes_;
   std::deque<double> rc_times_s_;
   std::deque<double> heartbeat_times_s_;
   std::vector<std::string> notes_;

@@ -7,8 +7,8 @@
 #include <optional>
 
 #include "ajna/control/command.hpp"
+#include "ajna/flight/attitude_history.hpp"
 #include "ajna/flight/link.hpp"
-#include "ajna/flight/rate_history.hpp"
 
 namespace ajna::flight {
 
@@ -58,7 +58,7 @@ class Blackboard {
     motion_ = motion;
   }
 
-  RateHistory rates;                          ///< locks itself
+  AttitudeHistory attitudes;                  ///< locks itself
   std::atomic<std::uint64_t> activations{0};  ///< perception begins anew when this changes
   std::atomic<bool> stop{false};              ///< asked for
   std::atomic<bool> internal_error{false};    ///< a thread has failed for good

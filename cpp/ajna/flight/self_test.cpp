@@ -83,7 +83,7 @@ Image test_frame(int width, int height, int seed, int shift_x, int shift_y) {
   return image;
 }
 
-void test_model(const InferFunction& infer, int width, int height) {
+void test_model(const skills::InferFunction& infer, int width, int height) {
   const Image first = test_frame(width, height, 1, 0, 0);
   FlowField other;
   FlowField moved;

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "ajna/base/image_view.hpp"
-#include "ajna/flight/pilot.hpp"
+#include "ajna/skills/signal.hpp"
 
 namespace ajna::flight {
 
@@ -12,6 +12,6 @@ Image test_frame(int width, int height, int seed, int shift_x, int shift_y);
 /// Run the network on built-in frames of the size that it will see and refuse it where it is of no use: values that are
 /// not finite, a map without any variation, or answers that do not depend on the frames.
 /// Throws Error(kInvalidArgument) that says what is wrong, and what `infer` throws.
-void test_model(const InferFunction& infer, int width, int height);
+void test_model(const skills::InferFunction& infer, int width, int height);
 
 }  // namespace ajna::flight

@@ -7,6 +7,7 @@
 
 #include <algorithm>
 #include <array>
+#include <atomic>
 #include <cerrno>
 #include <chrono>
 #include <cstring>
@@ -241,10 +242,23 @@ class Spool final : public FrameSource {
   std::int64_t index_ = 0;
 };
 
+std::atomic<double>& time_scale() noexcept {
+  static std::atomic<double> scale{1.0};
+  return scale;
+}
+
 }  // namespace
 
 double monotonic_s() noexcept {
-  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+  return time_scale().load(std::memory_order_relaxed) *
+         std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
+
+void slow_time(double scale) {
+  if (!(scale >= 0.01 && scale <= 1.0)) {
+    throw_invalid("time scale " + std::to_string(scale) + ": give 0.01 to 1");
+  }
+  time_scale() = scale;
 }
 
 const char* to_string(SourceKind kind) noexcept {

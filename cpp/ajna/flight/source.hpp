@@ -11,6 +11,9 @@ namespace ajna::flight {
 
 /// Monotonic seconds (CLOCK_MONOTONIC): the one clock of the flight, which no time server can move.
 double monotonic_s() noexcept;
+/// For simulations that run slower than time: from here on that clock runs `scale` times as fast as time. Before
+/// anything has looked at the clock. Throws Error(kInvalidArgument) for a scale outside 0.01 to 1.
+void slow_time(double scale);
 
 /// A frame and when it was taken.
 struct CapturedFrame {

@@ -166,7 +166,7 @@ def _fly(world: World, method: Method, renderer: Renderer, watch: Watcher | None
     command, reason = Command(), None
     errors: list[float] = []
     run_times: list[float] = []
-    iou: float | None = None if world.task == "navigate" else 0.0
+    iou: float | None = None if world.task == "navigate" or not getattr(method, "shows_masks", True) else 0.0
     decided_s: float | None = None
     best_iou = iou
     while reason is None:

@@ -9,6 +9,7 @@ import os
 import tempfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -107,13 +108,16 @@ def _run_one(plan: TrialPlan, seed: int) -> EpisodeResult:
     """One trial, written to its file (and its video) before it is returned. Runs in a worker."""
     world = make_world(plan.world, seed)
     method = make_method(plan.method, plan.weights, plan.network_size)
-    if plan.video:
-        from ajna.sim.video import EpisodeVideo
+    with ExitStack() as stack:
+        if hasattr(method, "close"):
+            stack.callback(method.close)
+        if plan.video:
+            from ajna.sim.video import EpisodeVideo
 
-        with EpisodeVideo(world, trial_path(plan, seed).with_suffix(".mp4")) as video:
+            video = stack.enter_context(EpisodeVideo(world, trial_path(plan, seed).with_suffix(".mp4")))
             result = run_episode(world, method, renderer=video.renderer, watch=video)
-    else:
-        result = run_episode(world, method)
+        else:
+            result = run_episode(world, method)
     write_json(trial_path(plan, seed), {"settings": _settings(plan), "result": asdict(result)})
     return result
 

@@ -15,6 +15,7 @@ from ajna.sim.methods.blind import Blind
 from ajna.sim.methods.depth import D435iSensor, DepthPerception, StereoSensor, TrueDepthSensor
 from ajna.sim.methods.events import EventPerception
 from ajna.sim.methods.flow import GapFlyt, OcclusionMask
+from ajna.sim.methods.program import FlightProgram
 from ajna.sim.methods.signals import NetworkSignal, TrueFlowSignal
 from ajna.sim.methods.skills import PAPERS_VEHICLE, SkillMethod, Timing
 
@@ -27,7 +28,7 @@ class MethodInfo:
 
     ``needs_weights``: ``make`` takes a :class:`Network` of the user's. ``timing``: of a method that flies by Ajna's
     pipelines and policies; ``make`` then gives its signal instead of a perception. ``takes_checkpoint``: ``make`` takes
-    a model file of Ajna's, or None for the shipped one.
+    a model file of Ajna's, or None for the shipped one. ``whole``: ``make`` gives the method itself.
     """
 
     title: str
@@ -36,6 +37,7 @@ class MethodInfo:
     needs_weights: bool = False
     timing: Timing | None = None
     takes_checkpoint: bool = False
+    whole: bool = False
 
 
 _ALL = frozenset({"navigate", "gap", "dodge", "pile"})
@@ -46,6 +48,7 @@ METHODS: dict[str, MethodInfo] = {
     ),
     "ajna-true-flow": MethodInfo("Ajna on true flow", _ALL, TrueFlowSignal, timing=Timing()),
     "ajna-true-flow-8hz": MethodInfo("Ajna on true flow, at 8 Hz", _ALL, TrueFlowSignal, timing=PAPERS_VEHICLE),
+    "flight": MethodInfo("Ajna, flight program", FlightProgram.tasks, FlightProgram, takes_checkpoint=True, whole=True),
     "depth": MethodInfo("true depth", _ALL, lambda: DepthPerception(TrueDepthSensor)),
     "d435i": MethodInfo("D435i (model)", _ALL, lambda: DepthPerception(D435iSensor)),
     "morpheyes": MethodInfo("MorphEyes (SGBM)", _ALL, lambda: DepthPerception(StereoSensor)),
@@ -80,6 +83,8 @@ def make_method(name: str, weights: str | Path | None = None, size: tuple[int, i
         if weights is None:
             raise ValueError(f"method '{name}' needs a network: give its TorchScript or ONNX file by --weights FILE")
         return PilotedMethod(name, info.make(Network(weights, size)))
+    if info.whole:
+        return info.make(weights)
     if info.takes_checkpoint:
         return SkillMethod(name, info.make(weights), info.timing)
     if weights is not None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Protocol
@@ -12,27 +13,27 @@ from numpy.typing import NDArray
 
 import ajna
 from ajna import tasks
-from ajna.sim.camera import Frame
-from ajna.sim.observation import Observation
+from ajna.sim.camera import CameraModel, Frame
 from ajna.sim.truth import occlusion_and_flow
 
-__all__ = ["NetworkSignal", "Signal", "TrueFlowSignal", "occlusion_jump"]
+__all__ = ["NetworkSignal", "Signal", "Source", "TrueFlowSignal", "occlusion_jump"]
 
 Map = NDArray[np.float32]
 
 
+#: (first, second, common motion to be taken out) -> map, float32 [H, W] or [H, W, 2] on the first frame's grid.
+Source = Callable[[tasks.Snapshot, tasks.Snapshot, str], NDArray[np.float32]]
+
+
 class Signal(Protocol):
-    """Uncertainty of the flow from ``first`` to ``second`` in pixels, on the first one's grid.
+    """Uncertainty of the flow between two frames, in a form that :class:`ajna.tasks.Skill` takes.
 
-    float32 [H, W], or [H, W, 2] per axis.
-
-    ``needs``: the pictures it uses ("rgb", "depth"). ``common``: which motion is to be taken out of the pair first, see
-    :class:`NetworkSignal`; where flow is known that makes no difference.
+    ``needs``: the pictures it uses ("rgb", "depth").
     """
 
     needs: frozenset[str]
 
-    def __call__(self, first: Observation, second: Observation, common: str = "none") -> Map: ...
+    def source(self, camera: CameraModel) -> Source: ...
 
 
 @lru_cache(maxsize=2)
@@ -42,10 +43,7 @@ def _model(name_or_path: str) -> Any:
 
 
 class NetworkSignal:
-    """What a network says of its own flow, after what it need not see is taken out of the pair.
-
-    ``common``: "rotation" takes out the camera's turning, which the IMU knows; "plane" the motion of most of the
-    picture (the wall around a gap); "none" nothing. What then has no picture gets the median uncertainty.
+    """What a network says of its own flow; see :class:`ajna.tasks.NetworkSignal`.
 
     Args:
         weights: a checkpoint or TorchScript file of Ajna's; None: the shipped model.
@@ -59,30 +57,22 @@ class NetworkSignal:
     def __init__(self, weights: str | Path | None = None) -> None:
         self._model = _model("best" if weights is None else str(weights))
 
-    def __call__(self, first: Observation, second: Observation, common: str = "none") -> Map:
-        if common == "none":
-            return self._model(first.rgb, second.rgb, second.frame.time_s).uncertainty
-        if common == "plane":
-            aligned = tasks.align_to(first.rgb, second.rgb)
-        else:
-            turn = _north_from_camera(first).T @ _north_from_camera(second)
-            aligned = tasks.derotate_frame(second.rgb, turn, first.frame.camera.horizontal_fov_rad)
-        return aligned.within(self._model(first.rgb, aligned.image, second.frame.time_s).uncertainty)
-
-
-def _north_from_camera(observation: Observation) -> NDArray[np.float64]:
-    """The camera's attitude as the IMU has it, against axes that do not turn with the vehicle."""
-    c, s = np.cos(observation.yaw_rad), np.sin(observation.yaw_rad)
-    return np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) @ observation.heading_from_camera
+    def source(self, camera: CameraModel) -> Source:
+        """The network's signal for a camera."""
+        return tasks.NetworkSignal(self._model.engine, camera.horizontal_fov_rad)
 
 
 class TrueFlowSignal:
-    """Forward-backward occlusion from the true flow: what a network could know at best of covering and uncovering."""
+    """Forward-backward occlusion from the true flow: what a network could know at best of covering and uncovering.
+
+    Which motion two frames have in common makes no difference to it.
+    """
 
     needs = frozenset({"depth"})
 
-    def __call__(self, first: Observation, second: Observation, common: str = "none") -> Map:
-        return occlusion_jump(first.frame, second.frame)
+    def source(self, camera: CameraModel) -> Source:
+        """Reads the frames from the observations that the snapshots are tagged with."""
+        return lambda first, second, common: occlusion_jump(first.tag.frame, second.tag.frame)
 
 
 def occlusion_jump(first: Frame, second: Frame) -> Map:

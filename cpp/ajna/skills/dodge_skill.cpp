@@ -1,0 +1,108 @@
+// SPDX-License-Identifier: MIT
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <utility>
+
+#include "ajna/skills/skill_parts.hpp"
+
+namespace ajna::skills {
+namespace {
+
+tasks::DodgeOptions pipeline_options(const SkillOptions& options) {
+  constexpr double kMissedPlans = 2.5;
+  tasks::DodgeOptions dodge = options.dodge;
+  dodge.horizontal_fov_rad = options.horizontal_fov_rad;
+  dodge.max_gap_s = std::max(dodge.max_gap_s, kMissedPlans / options.planning_rate_hz);
+  return dodge;
+}
+
+/// Hover until something comes. Pairs go from the new frame to the one before it, so that the obstacle is found where
+/// it is now.
+class DodgeSkill final : public Skill {
+ public:
+  DodgeSkill(const SkillOptions& options, Signal signal)
+      : signal_(std::move(signal)),
+        max_interval_s_(options.max_interval_s),
+        memory_(options.max_interval_s),
+        pipeline_(pipeline_options(options)),
+        policy_(options.dodge_policy) {}
+
+  void begin() override {
+    pipeline_.reset();
+    policy_.reset();
+    planned_.reset();
+    decided_ = false;
+  }
+
+  void remember(const SkillInput& input) override { memory_.add(snapshot_of(input)); }
+
+  SkillOutput plan(const SkillInput& input) override {
+    Snapshot now = snapshot_of(input);
+    SkillOutput output;
+    try {
+      output = decide(now);
+    } catch (...) {  // whatever it is: the next frame is compared with this one, and the caller is told
+      memory_.add(std::move(now));
+      throw;
+    }
+    memory_.add(std::move(now));
+    return output;
+  }
+
+ private:
+  SkillOutput decide(const Snapshot& now) {
+    SkillOutput output;
+    const Snapshot* before = memory_.find(now.captured_s, 0.0, max_interval_s_);
+    if (before == nullptr || !same_size(now, *before)) {
+      output.status = "first_frame";
+      output.valid = false;
+      return output;
+    }
+    const SignalMap seen = signal_(now, *before, CommonMotion::kNone);
+    output.flow = seen.flow;
+    const auto result = pipeline_.step(seen.map, now.captured_s, turning(now));
+    output.status = tasks::to_string(result.status);
+    output.command = policy_.update(result.safe_direction, now.captured_s);
+    output.decided = policy_.dodging() && !decided_;
+    decided_ = decided_ || policy_.dodging();
+    output.mask = result.mask;
+    if (!result.mask.empty()) {
+      const auto& center = result.track.back().center_px;
+      output.point_px = Eigen::Vector2d(center.x, center.y);
+    }
+    return output;
+  }
+
+  /// Angular velocity, optical frame, since the last frame that was planned on.
+  std::optional<Eigen::Vector3d> turning(const Snapshot& now) {
+    const auto before =
+        std::exchange(planned_, now.attitude ? std::optional(Planned{now.captured_s, *now.attitude}) : std::nullopt);
+    if (!before || !now.attitude || now.captured_s <= before->time_s) {
+      return std::nullopt;
+    }
+    const Eigen::AngleAxisd turn(
+        Eigen::Matrix3d(before->attitude.world_from_camera().transpose() * now.attitude->world_from_camera()));
+    return Eigen::Vector3d(turn.axis() * (turn.angle() / (now.captured_s - before->time_s)));
+  }
+
+  struct Planned {
+    double time_s;
+    Attitude attitude;
+  };
+
+  Signal signal_;
+  double max_interval_s_;
+  Memory memory_;
+  tasks::DodgePipeline pipeline_;
+  control::DodgePolicy policy_;
+  std::optional<Planned> planned_;
+  bool decided_ = false;
+};
+
+}  // namespace
+
+std::unique_ptr<Skill> make_dodge_skill(const SkillOptions& options, Signal signal) {
+  return std::make_unique<DodgeSkill>(options, std::move(signal));
+}
+
+}  // namespace ajna::skills

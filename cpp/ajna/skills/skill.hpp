@@ -1,0 +1,96 @@
+// SPDX-License-Identifier: MIT
+#pragma once
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <memory>
+#include <opencv2/core.hpp>
+#include <optional>
+#include <string>
+
+#include "ajna/control/command.hpp"
+#include "ajna/control/policies.hpp"
+#include "ajna/skills/signal.hpp"
+#include "ajna/tasks/dodge.hpp"
+#include "ajna/tasks/gap.hpp"
+#include "ajna/tasks/navigate.hpp"
+
+// Frames in, commands out: signal, pipeline and policy of one task, flown alike by the flight program and the
+// simulation.
+
+namespace ajna::skills {
+
+enum class Task : std::uint8_t { kDodge, kNavigate, kGap };
+const char* to_string(Task task) noexcept;
+
+struct SkillOptions {
+  Task task = Task::kDodge;
+  double horizontal_fov_rad = 1.2;
+  double planning_rate_hz = 30.0;  ///< frames that are planned on: limits in frames follow from it
+  double max_interval_s = 0.2;     ///< between the frames of a pair; frames further apart are not compared
+  double goal_bearing_rad = 0.0;   ///< navigate, where no goal is given: to the right of the heading at the beginning
+
+  tasks::DodgeOptions dodge;
+  control::DodgePolicyOptions dodge_policy;
+
+  tasks::NavigateOptions navigate;
+  control::NavigatePolicyOptions navigate_policy;
+  double baseline_s = 0.1;   ///< between the frames of a pair: what is near has then moved by some pixels
+  double height_gain = 0.4;  ///< downward part of the direction per metre too high; only level directions are followed
+  double largest_slope = 0.3;  ///< of that part
+
+  tasks::GapOptions gap;  ///< min_pairs and max_pairs follow from first_look_s and last_look_s
+  control::GapPolicyOptions gap_policy;
+  control::ExploreOptions explore;  ///< as long as the pipeline wants it: duration_s is not used
+  double settle_s = 0.3;            ///< of hovering before the exploratory motion
+  double rest_m_s = 0.15;           ///< what counts as at rest ...
+  double rest_rad = 0.05;           ///< ... and as level
+  double first_look_s = 0.4;        ///< of exploring before the first look at the stacked maps
+  double last_look_s = 0.8;         ///< without a gap for so long: explore anew, the other way
+  double slew_m_s2 = 2.0;           ///< change of the velocity asked for: what is harder tilts the camera, and blurs
+};
+/// Throws Error(kInvalidArgument) that names the first option out of range, those of pipeline and policy included.
+void validate(const SkillOptions& options);
+
+/// A frame, and what the vehicle's other sensors say at that time.
+struct SkillInput {
+  ImageView frame;  ///< RGB; may be empty where neither signal nor task needs a picture
+  double captured_s = 0.0;
+  std::optional<Attitude> attitude;  ///< nothing: the camera is taken to be level, and turning is not taken out
+  std::optional<Eigen::Vector3d> velocity_m_s;  ///< levelled heading frame (forward, right, down)
+  std::optional<Eigen::Vector3d> goal;          ///< navigate: the way to it, heading frame, any positive length
+  double too_high_m = 0.0;                      ///< navigate: above the height to be held
+  std::shared_ptr<const void> tag;              ///< see Snapshot
+};
+
+/// What a skill makes of a frame.
+struct SkillOutput {
+  control::Command command;
+  bool valid = true;                        ///< false: this frame says nothing, and `command` is none
+  std::string status;                       ///< of the pipeline, or "first_frame", "settling"
+  bool decided = false;                     ///< the frame on which a detection is first acted on
+  cv::Mat mask;                             ///< CV_8U, 0 or 255, in this frame: obstacle, what is near, gap; or empty
+  std::optional<Eigen::Vector2d> point_px;  ///< in this frame: the obstacle, the safe direction, the safe point
+  std::optional<FlowSummary> flow;          ///< where the network ran
+};
+
+/// One task, with the frames it remembers. Used by one thread. Frames come in order.
+class Skill {
+ public:
+  virtual ~Skill() = default;
+  Skill() = default;
+  Skill(const Skill&) = delete;
+  Skill& operator=(const Skill&) = delete;
+
+  /// Plan on a frame. Throws what the signal throws; the frame is remembered all the same, nothing else is changed.
+  virtual SkillOutput plan(const SkillInput& input) = 0;
+  /// Only remember a frame that there is no time to plan on: pairs can then be as short as the camera's interval.
+  virtual void remember(const SkillInput& input) = 0;
+  /// Begin anew with the next frame: runs at each activation.
+  virtual void begin() = 0;
+};
+
+/// Throws Error(kInvalidArgument) for options out of range.
+std::unique_ptr<Skill> make_skill(const SkillOptions& options, Signal signal);
+
+}  // namespace ajna::skills

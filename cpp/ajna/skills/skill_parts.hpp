@@ -1,0 +1,45 @@
+// SPDX-License-Identifier: MIT
+#pragma once
+
+#include <deque>
+#include <memory>
+#include <optional>
+
+#include "ajna/skills/skill.hpp"
+
+// What the skills share; private to this library.
+
+namespace ajna::skills {
+
+/// A copy of the frame and of what is known with it.
+Snapshot snapshot_of(const SkillInput& input);
+
+/// Whether two frames can be a pair.
+inline bool same_size(const Snapshot& a, const Snapshot& b) {
+  return a.image.width() == b.image.width() && a.image.height() == b.image.height();
+}
+
+/// The frames of the last moments, in order.
+class Memory {
+ public:
+  /// `keep_s`: how old a frame may become.
+  explicit Memory(double keep_s) : keep_s_(keep_s) {}
+  /// Frames that are not later than the last one are ignored.
+  void add(Snapshot snapshot);
+  /// The frame whose age at `now_s` is nearest to `age_s`; none that is older than `max_age_s`, or not older than now.
+  [[nodiscard]] const Snapshot* find(double now_s, double age_s, double max_age_s) const;
+
+ private:
+  double keep_s_;
+  std::deque<Snapshot> frames_;
+};
+
+/// Heading frame to the axes that the pipelines call body: those of the camera (forward, right, down).
+Eigen::Vector3d camera_from_heading(const Attitude& attitude, const Eigen::Vector3d& direction);
+Eigen::Vector3d heading_from_camera(const Attitude& attitude, const Eigen::Vector3d& direction);
+
+std::unique_ptr<Skill> make_dodge_skill(const SkillOptions& options, Signal signal);
+std::unique_ptr<Skill> make_navigate_skill(const SkillOptions& options, Signal signal);
+std::unique_ptr<Skill> make_gap_skill(const SkillOptions& options, Signal signal);
+
+}  // namespace ajna::skills

@@ -1,0 +1,308 @@
+// SPDX-License-Identifier: MIT
+// Skills on made-up signals: which frames make a pair, when a decision falls, what is done where nothing is known.
+#include <gtest/gtest.h>
+
+#include <Eigen/Geometry>
+#include <cmath>
+#include <limits>
+#include <memory>
+#include <opencv2/imgproc.hpp>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "ajna/base/error.hpp"
+#include "ajna/skills/skill.hpp"
+
+namespace ajna::skills {
+namespace {
+
+constexpr int kWidth = 160;
+constexpr int kHeight = 120;
+
+/// What a signal was asked for.
+struct Asked {
+  double first_s;
+  double second_s;
+  CommonMotion common;
+};
+
+class SkillTest : public ::testing::Test {
+ protected:
+  std::vector<Asked> asked;
+  bool fails = false;
+  cv::Mat map = cv::Mat(kHeight, kWidth, CV_32F, cv::Scalar(0.2F));
+  Image picture = Image(kWidth, kHeight);
+
+  Signal signal() {
+    return [this](const Snapshot& first, const Snapshot& second, CommonMotion common) {
+      asked.push_back({first.captured_s, second.captured_s, common});
+      if (fails) {
+        throw_runtime("the network gave NaN");
+      }
+      return SignalMap{map.clone(), std::nullopt};
+    };
+  }
+  std::unique_ptr<Skill> make(Task task, double planning_rate_hz = 30.0) {
+    SkillOptions options;
+    options.task = task;
+    options.planning_rate_hz = planning_rate_hz;
+    return make_skill(options, signal());
+  }
+  [[nodiscard]] SkillInput at(double time_s) const {
+    SkillInput input;
+    input.captured_s = time_s;
+    input.frame = picture.view();
+    input.attitude = Attitude{};
+    input.velocity_m_s = Eigen::Vector3d::Zero();
+    return input;
+  }
+  /// A disc that is certain to be uncertain.
+  void draw(double x, double radius) {
+    map = cv::Mat(kHeight, kWidth, CV_32F, cv::Scalar(0.2F));
+    cv::circle(map, {static_cast<int>(x), kHeight / 2}, static_cast<int>(radius), cv::Scalar(1.6F), cv::FILLED);
+  }
+};
+
+TEST_F(SkillTest, DodgePairsGoBackToTheFrameBefore) {
+  const auto skill = make(Task::kDodge);
+  const SkillOutput first = skill->plan(at(1.0));
+  EXPECT_FALSE(first.valid);
+  EXPECT_EQ(first.status, "first_frame");
+  skill->plan(at(1.1));
+  skill->remember(at(1.17));
+  skill->plan(at(1.2));
+  ASSERT_EQ(asked.size(), 2U);
+  EXPECT_EQ(asked[0].first_s, 1.1);
+  EXPECT_EQ(asked[0].second_s, 1.0);
+  EXPECT_EQ(asked[1].second_s, 1.17) << "a frame that was only remembered makes the pair shorter";
+  EXPECT_EQ(asked[1].common, CommonMotion::kNone);
+  EXPECT_FALSE(skill->plan(at(1.5)).valid) << "too far from the last one";
+  EXPECT_FALSE(skill->plan(at(1.4)).valid) << "out of order";
+  EXPECT_EQ(asked.size(), 2U);
+}
+
+TEST_F(SkillTest, DodgeDecidesOnce) {
+  const auto skill = make(Task::kDodge);
+  std::vector<int> decided;
+  for (int i = 0; i < 8; ++i) {
+    draw(100 + i, 6 + i);
+    const auto output = skill->plan(at(0.033 * i));
+    if (output.decided) {
+      decided.push_back(i);
+      EXPECT_EQ(output.status, "incoming");
+      EXPECT_EQ(output.command.mode, control::CommandMode::kVelocity);
+      EXPECT_LT(output.command.velocity_m_s.y(), -1.0) << "it drifts to the right";
+      ASSERT_TRUE(output.point_px);
+      EXPECT_NEAR(output.point_px->x(), 100 + i, 3);
+      EXPECT_GT(output.mask.at<unsigned char>(kHeight / 2, 100 + i), 0);
+    }
+  }
+  EXPECT_EQ(decided, std::vector<int>{3});
+  skill->begin();
+  const auto again = skill->plan(at(0.033 * 8));
+  EXPECT_TRUE(again.valid) << "frames are remembered over an activation";
+  EXPECT_EQ(again.command.mode, control::CommandMode::kHold) << "but nothing that was decided";
+}
+
+TEST_F(SkillTest, AFailedSignalIsToldAndTheFrameKept) {
+  for (const Task task : {Task::kDodge, Task::kNavigate}) {
+    const auto skill = make(task);
+    skill->plan(at(0.0));
+    fails = true;
+    EXPECT_THROW(skill->plan(at(0.05)), Error);
+    fails = false;
+    asked.clear();
+    EXPECT_TRUE(skill->plan(at(0.1)).valid);
+    ASSERT_EQ(asked.size(), 1U);
+    EXPECT_EQ(asked[0].second_s, task == Task::kDodge ? 0.05 : 0.0);
+  }
+}
+
+TEST_F(SkillTest, NavigatePairsSpanTheBaselineWithoutTurning) {
+  const auto skill = make(Task::kNavigate);
+  for (int i = 0; i < 6; ++i) {
+    skill->plan(at(i / 30.0));
+  }
+  ASSERT_EQ(asked.size(), 5U);
+  EXPECT_NEAR(asked.back().first_s - asked.back().second_s, 0.1, 1e-9);
+  EXPECT_EQ(asked.back().common, CommonMotion::kRotation);
+}
+
+TEST_F(SkillTest, NavigateSetsOutOnceWithoutAPair) {
+  const auto skill = make(Task::kNavigate);
+  const auto first = skill->plan(at(0.0));
+  EXPECT_TRUE(first.valid);
+  EXPECT_GT(first.command.acceleration_m_s2.x(), 0.5);
+  const auto second = skill->plan(at(1.0));
+  EXPECT_FALSE(second.valid) << "frames that make no pairs are not flown by";
+  EXPECT_TRUE(asked.empty());
+}
+
+TEST_F(SkillTest, NavigateKeepsTheBearingOfTheBeginning) {
+  const auto skill = make(Task::kNavigate);
+  SkillInput input = at(0.0);
+  input.attitude->yaw_rad = 1.0;
+  skill->plan(input);
+  input = at(0.1);
+  input.attitude->yaw_rad = 1.3;  // turned to the right: the goal is on the left now
+  const auto output = skill->plan(input);
+  ASSERT_TRUE(output.point_px);
+  const double focal = 0.5 * kWidth / std::tan(0.6);
+  EXPECT_NEAR(output.point_px->x(), 0.5 * (kWidth - 1) - focal * std::tan(0.3), 2.0);
+  EXPECT_LT(output.command.yaw_rate_rad_s, -0.1);
+  EXPECT_EQ(output.command.velocity_m_s.z(), 0.0);
+}
+
+TEST_F(SkillTest, NavigateFollowsTheHeightNotTheMap) {
+  const auto skill = make(Task::kNavigate);
+  skill->plan(at(0.0));
+  SkillInput input = at(0.1);
+  input.too_high_m = 0.5;
+  const auto down = skill->plan(input);
+  EXPECT_GT(down.command.acceleration_m_s2.z(), 0.1);
+}
+
+TEST_F(SkillTest, GapWaitsForRestAndLooksFromOneReference) {
+  const auto skill = make(Task::kGap, 10.0);
+  SkillInput moving = at(0.0);
+  moving.velocity_m_s = Eigen::Vector3d(0.5, 0, 0);
+  EXPECT_EQ(skill->plan(at(0.0)).status, "settling");
+  moving.captured_s = 0.4;
+  EXPECT_EQ(skill->plan(moving).status, "settling") << "it still moves";
+  SkillInput tilted = at(0.5);
+  tilted.attitude->heading_from_camera =
+      Eigen::AngleAxisd(0.2, Eigen::Vector3d::UnitY()) * tilted.attitude->heading_from_camera;
+  EXPECT_EQ(skill->plan(tilted).status, "settling") << "it is tilted";
+  EXPECT_EQ(skill->plan(at(0.6)).status, "exploring");
+  const auto exploring = skill->plan(at(0.7));
+  EXPECT_GT(exploring.command.velocity_m_s.norm(), 0.1);
+  skill->plan(at(0.8));
+  ASSERT_EQ(asked.size(), 2U);
+  EXPECT_EQ(asked[0].first_s, 0.6);
+  EXPECT_EQ(asked[1].first_s, 0.6);
+  EXPECT_EQ(asked[1].second_s, 0.8);
+  EXPECT_EQ(asked[1].common, CommonMotion::kPlane);
+}
+
+TEST_F(SkillTest, GapExploresTheOtherWayWhereNoneIsFound) {
+  const auto skill = make(Task::kGap, 10.0);
+  std::vector<double> right;
+  bool no_gap = false;
+  for (int i = 0; i < 40; ++i) {
+    const auto output = skill->plan(at(0.1 * i));
+    no_gap = no_gap || output.status == "no_gap";
+    if (output.status == "exploring") {
+      right.push_back(output.command.velocity_m_s.y());
+    }
+    ASSERT_LE(output.command.velocity_m_s.norm(), 0.51);
+  }
+  EXPECT_TRUE(no_gap);
+  EXPECT_GT(*std::max_element(right.begin(), right.end()), 0.2);
+  EXPECT_LT(*std::min_element(right.begin(), right.end()), -0.2);
+}
+
+TEST_F(SkillTest, GapVelocityChangesInSteps) {
+  const auto skill = make(Task::kGap, 10.0);
+  Eigen::Vector3d last = Eigen::Vector3d::Zero();
+  for (int i = 0; i < 20; ++i) {
+    const auto output = skill->plan(at(0.1 * i));
+    EXPECT_LE((output.command.velocity_m_s - last).norm(), 0.2 + 1e-9) << "2 m/s^2 at 10 Hz";
+    last = output.command.velocity_m_s;
+  }
+}
+
+TEST_F(SkillTest, FramesOfAnotherSizeAreNoPair) {
+  const auto skill = make(Task::kDodge);
+  skill->plan(at(0.0));
+  picture = Image(80, 60);
+  EXPECT_FALSE(skill->plan(at(0.05)).valid);
+  map = cv::Mat(60, 80, CV_32F, cv::Scalar(0.2F));
+  EXPECT_TRUE(skill->plan(at(0.1)).valid);
+}
+
+TEST_F(SkillTest, MapsThatCannotBeUsedGiveNoCommandToMove) {
+  const float nan = std::numeric_limits<float>::quiet_NaN();
+  for (const cv::Mat& bad :
+       {cv::Mat(), cv::Mat(1, 1, CV_32F, cv::Scalar(1.0F)), cv::Mat(kHeight, kWidth, CV_32F, cv::Scalar(nan))}) {
+    const auto skill = make(Task::kDodge);
+    map = bad;
+    skill->plan(at(0.0));
+    for (int i = 1; i < 6; ++i) {
+      const auto output = skill->plan(at(0.03 * i));
+      EXPECT_EQ(output.status, "invalid_input");
+      EXPECT_EQ(output.command.mode, control::CommandMode::kHold);
+    }
+  }
+}
+
+TEST(SkillOptions, OutOfRangeIsNamed) {
+  const auto refused = [](auto change, const char* name) {
+    SkillOptions options;
+    change(options);
+    try {
+      validate(options);
+      ADD_FAILURE() << name;
+    } catch (const Error& error) {
+      EXPECT_NE(std::string(error.what()).find(name), std::string::npos) << error.what();
+    }
+  };
+  EXPECT_NO_THROW(validate({}));
+  refused([](SkillOptions& o) { o.horizontal_fov_rad = 0.0; }, "horizontal_fov_rad");
+  refused([](SkillOptions& o) { o.planning_rate_hz = std::nan(""); }, "planning_rate_hz");
+  refused([](SkillOptions& o) { o.last_look_s = 0.1; }, "last_look_s");
+  refused([](SkillOptions& o) { o.dodge.gate = 0.0; }, "gate");
+  refused([](SkillOptions& o) { o.gap_policy.realign = 0.0; }, "realign");
+  EXPECT_THROW(make_skill({}, nullptr), Error);
+  EXPECT_THROW(network_signal(nullptr, 0.0), Error);
+}
+
+TEST(NetworkSignal, TakesTurningOutOfThePair) {
+  // A picture, and the same seen by a camera that has turned to the right: derotated, both are equal.
+  const double fov = 1.2;
+  const double turn = 0.05;
+  cv::Mat texture(kHeight, kWidth, CV_8UC3);
+  cv::randu(texture, cv::Scalar::all(0), cv::Scalar::all(255));
+  cv::GaussianBlur(texture, texture, {}, 3.0);
+  cv::normalize(texture, texture, 0, 255, cv::NORM_MINMAX);
+  const double focal = 0.5 * kWidth / std::tan(0.5 * fov);
+  const cv::Matx33d k(focal, 0, 0.5 * (kWidth - 1), 0, focal, 0.5 * (kHeight - 1), 0, 0, 1);
+  const cv::Matx33d turned(std::cos(turn), 0, std::sin(turn), 0, 1, 0, -std::sin(turn), 0, std::cos(turn));
+  cv::Mat second;
+  cv::warpPerspective(texture, second, k * turned * k.inv(), texture.size(), cv::INTER_LINEAR | cv::WARP_INVERSE_MAP);
+  const auto snapshot = [](const cv::Mat& image, double yaw_rad) {
+    Snapshot result;
+    result.image = Image(kWidth, kHeight);
+    std::copy(image.data, image.data + result.image.size_bytes(), result.image.data());
+    result.attitude = Attitude{Attitude::level(), yaw_rad};
+    return result;
+  };
+  const InferFunction difference = [](const ImageView& a, const ImageView& b, FlowField& field, double) {
+    field.width = a.width;
+    field.height = a.height;
+    const auto size = static_cast<std::size_t>(a.width) * static_cast<std::size_t>(a.height);
+    field.flow.assign(2 * size, 0.0F);
+    field.expected_error.assign(2 * size, 0.0F);
+    field.uncertainty.assign(2 * size, 0.0F);
+    for (std::size_t i = 0; i < size; ++i) {
+      const auto x = static_cast<std::ptrdiff_t>(i % static_cast<std::size_t>(a.width));
+      const auto y = static_cast<std::ptrdiff_t>(i / static_cast<std::size_t>(a.width));
+      field.uncertainty[2 * i] =
+          static_cast<float>(std::abs(a.data[y * a.row_stride + 3 * x] - b.data[y * b.row_stride + 3 * x]));
+    }
+  };
+  const Signal signal = network_signal(difference, fov);
+  const Snapshot first = snapshot(texture, 0.0);
+  const Snapshot later = snapshot(second, turn);
+  const double as_it_is = cv::mean(signal(first, later, CommonMotion::kNone).map)[0];
+  const double derotated = cv::mean(signal(first, later, CommonMotion::kRotation).map)[0];
+  EXPECT_GT(as_it_is, 15.0);
+  EXPECT_LT(derotated, 0.25 * as_it_is);
+  Snapshot unknown = later;
+  unknown.attitude.reset();
+  EXPECT_NEAR(cv::mean(signal(first, unknown, CommonMotion::kRotation).map)[0], as_it_is, 1e-6)
+      << "without attitudes the pair is taken as it is";
+}
+
+}  // namespace
+}  // namespace ajna::skills
