@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: MIT
-"""A trained model as TorchScript, compared with its network: python train/export.py runs/chairs2 --out model.pt
+"""A trained model in another format, compared with its network: python train/export.py runs/chairs2 --out model.pt
 
 The model is a checkpoint (.safetensors) or a run folder, of which best.safetensors is taken, or model.safetensors where
-no validation has been. Further options are those of `ajna export`.
+no validation has been. Further options are those of `ajna export`, of which --format is TorchScript by default.
 """
 
 from __future__ import annotations

@@ -330,13 +330,22 @@ def export_torchscript(path: str | os.PathLike[str], net: FlowNet, metadata: Map
     Raises:
         ValueError: for another network, or metadata that do not fit it; RuntimeError where writing fails.
     """
+    _core.export_torchscript(os.fspath(path), net._core, metadata_object(net, metadata))
+
+
+def metadata_object(net: FlowNet, metadata: Mapping[str, Any]) -> Any:
+    """What :func:`load_checkpoint` returned beside ``net``, as the ``_core.CheckpointMetadata`` that writers take.
+
+    Raises:
+        ValueError: where an entry is missing.
+    """
     fields = ("name", "loss", "table", "flow_scale", "provenance")
     missing = [field for field in fields if field not in metadata]
     if missing:
         raise ValueError(f"model metadata lack '{missing[0]}': give what load_checkpoint returned beside the network")
     filled = _metadata(net, *(metadata[field] for field in fields))
     filled.calibration = metadata.get("calibration")
-    _core.export_torchscript(os.fspath(path), net._core, filled)
+    return filled
 
 
 def _metadata(net: FlowNet, name: str, loss: str, table: Any, flow_scale: float, provenance: Mapping[str, Any]) -> Any:

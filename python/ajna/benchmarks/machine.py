@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import platform
 import re
+from collections.abc import Iterable
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,15 @@ def cpu_model() -> str:
     return match[1].strip() if match else platform.processor() or platform.machine()
 
 
+def cpu_flags() -> frozenset[str]:
+    """Instruction sets of the processor as Linux names them, e.g. "avx2"; empty where the system does not say."""
+    try:
+        match = re.search(r"^(?:flags|Features)\s*:\s*(.+)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
+    except OSError:
+        match = None
+    return frozenset(match[1].split()) if match else frozenset()
+
+
 def describe_machine() -> dict[str, Any]:
     """Processor, cores that this process may use, torch's threads, GPUs, and how busy the machine is just now."""
     return {
@@ -36,10 +46,10 @@ def describe_machine() -> dict[str, Any]:
     }
 
 
-def describe_versions() -> dict[str, str]:
-    """Versions of what runs; those that are not installed are left out."""
+def describe_versions(more: Iterable[str] = ()) -> dict[str, str]:
+    """Versions of what runs, and of the packages `more`; those that are not installed are left out."""
     versions = {"ajna": _core.__version__, "python": platform.python_version(), "torch": torch.__version__}
-    for name in ("numpy", "opencv-python-headless", "opencv-python"):
+    for name in ("numpy", "opencv-python-headless", "opencv-python", *more):
         try:
             versions[name] = metadata.version(name)
         except metadata.PackageNotFoundError:

@@ -23,6 +23,7 @@ from ajna.cli.losses import losses
 from ajna.cli.predict import predict
 from ajna.cli.replay import replay
 from ajna.cli.sim import add_benchmarks, sim
+from ajna.cli.speed import speed
 from ajna.cli.study import study
 from ajna.cli.synth import app as synth_app
 from ajna.cli.task import task
@@ -39,6 +40,7 @@ app = typer.Typer(
 for _command in (predict, video, task, sim, replay, evaluate, calibrate, export, info, losses):
     app.command()(_command)
 add_benchmarks(bench)
+bench.command()(speed)
 app.add_typer(bench, name="bench")
 app.add_typer(study)
 app.add_typer(synth_app, name="synth")
