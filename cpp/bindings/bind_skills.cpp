@@ -118,6 +118,8 @@ void bind_horizon(py::module_& m) {
   AJNA_FIELD(horizon_m);
   AJNA_FIELD(remember_m);
   AJNA_FIELD(remember_s);
+  AJNA_FIELD(remember_move_m);
+  AJNA_FIELD(support);
   AJNA_FIELD(room_weight);
   AJNA_FIELD(goal_weight);
   AJNA_FIELD(keep_weight);
@@ -129,7 +131,8 @@ void bind_horizon(py::module_& m) {
       [](const py::array& map, const Matrix3d& rotation, double fov, const Vector3d& move,
          const HorizonOptions& chosen) {
         py::array keep;
-        const auto found = tasks::horizon_obstacles(float_mat(map, keep), rotation, fov, move, chosen);
+        const auto found = tasks::horizon_obstacles(float_mat(map, keep), {}, rotation, fov, move, chosen)
+                               .value_or(tasks::Obstacles{});
         py::array_t<double> points({static_cast<py::ssize_t>(found.size()), py::ssize_t{2}});
         for (std::size_t i = 0; i < found.size(); ++i) {
           points.mutable_at(static_cast<py::ssize_t>(i), 0) = found[i].x();

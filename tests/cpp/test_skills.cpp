@@ -40,7 +40,7 @@ class SkillTest : public ::testing::Test {
       if (fails) {
         throw_runtime("the network gave NaN");
       }
-      return SignalMap{map.clone(), std::nullopt};
+      return SignalMap{map.clone(), {}, std::nullopt};
     };
   }
   std::unique_ptr<Skill> make(Task task, double planning_rate_hz = 30.0) {

@@ -80,8 +80,8 @@ NavigatePolicyOptions::NavigatePolicyOptions() {
   direction.output_max = 8.0;
   yaw.kp = 2.0;
   yaw.kd = 0.05;
-  yaw.output_min = -2.0;
-  yaw.output_max = 2.0;
+  yaw.output_min = -1.2;
+  yaw.output_max = 1.2;
 }
 
 Eigen::Vector3d desired_direction(const Guidance& guidance) {

@@ -46,6 +46,7 @@ class NavigateSkill final : public Skill {
     goal_yaw_rad_.reset();
     position_m_.setZero();
     moved_s_.reset();
+    chosen_.reset();
     first_ = true;
   }
 
@@ -86,13 +87,14 @@ class NavigateSkill final : public Skill {
     const SignalMap seen = signal_(now, *before, CommonMotion::kRotation);
     output.flow = seen.flow;
     if (input.attitude && input.velocity_m_s) {
-      if (before->attitude &&
-          turn_between(*before->attitude, attitude) > options_.max_turn_rad_s * (now.captured_s - before->captured_s)) {
-        output.status = "turning";
-        output.command = policy_.update(std::nullopt, now.captured_s, input.velocity_m_s);
-        return output;
+      const bool blurred = before->attitude && turn_between(*before->attitude, attitude) >
+                                                   options_.max_turn_rad_s * (now.captured_s - before->captured_s);
+      if (blurred || !fly_corridor(seen, now.captured_s - before->captured_s, goal, input, output)) {
+        // Nothing is to be seen of the way: the last answer stands for a while.
+        output.status = blurred ? "turning" : "unseen";
+        output.command = policy_.update(remembered(goal, attitude, input.too_high_m, now.captured_s), now.captured_s,
+                                        input.velocity_m_s);
       }
-      fly_corridor(seen.map, now.captured_s - before->captured_s, goal, now.captured_s, input, output);
       return output;
     }
     const auto result = pipeline_.step(seen.map, now.captured_s, camera_from_heading(attitude, goal));
@@ -114,18 +116,25 @@ class NavigateSkill final : public Skill {
     return output;
   }
 
-  /// Choose a corridor between the things that the map shows along the horizon.
-  void fly_corridor(const cv::Mat& map, double interval_s, const Eigen::Vector3d& goal, double time_s,
-                    const SkillInput& input, SkillOutput& output) {
+  /// Choose a corridor between the things that the map shows along the horizon; false where it shows nothing.
+  bool fly_corridor(const SignalMap& seen, double interval_s, const Eigen::Vector3d& goal, const SkillInput& input,
+                    SkillOutput& output) {
     const Attitude& attitude = *input.attitude;
+    const double time_s = input.captured_s;
+    const cv::Mat& map = seen.map;
     if (!tasks::is_valid_map(map)) {
-      output.status = tasks::to_string(tasks::NavigateStatus::kInvalidInput);
-      output.command = policy_.update(std::nullopt, time_s, input.velocity_m_s);
-      return;
+      return false;
     }
     output.status = tasks::to_string(tasks::NavigateStatus::kOk);
-    const auto obstacles = tasks::horizon_obstacles(map, attitude.heading_from_camera, options_.horizontal_fov_rad,
-                                                    interval_s * *input.velocity_m_s, options_.horizon);
+    auto found = tasks::horizon_obstacles(map, seen.valid, attitude.heading_from_camera, options_.horizontal_fov_rad,
+                                          interval_s * *input.velocity_m_s, options_.horizon);
+    if (!found) {
+      if (input.velocity_m_s->norm() * interval_s >= options_.horizon.min_move_m) {
+        return false;
+      }
+      found.emplace();  // at rest there is nothing to be seen: what is remembered counts
+    }
+    const tasks::Obstacles& obstacles = *found;
     const auto corridor =
         planner_.plan(obstacles, time_s, position_m_, attitude.yaw_rad, std::atan2(goal.y(), goal.x()));
     const Eigen::Vector3d free =
@@ -137,6 +146,7 @@ class NavigateSkill final : public Skill {
     };
     output.point_px = pixel(control::desired_direction(guidance));
     output.command = policy_.update(guidance, time_s, input.velocity_m_s);
+    chosen_ = Chosen{time_s, attitude.yaw_rad + corridor.angle_rad, guidance.weight, corridor.speed_m_s};
     // What is near, as upright lines of a third of a metre, for pictures.
     constexpr double kHalfHeight_m = 0.15;
     output.mask = cv::Mat::zeros(map.size(), CV_8U);
@@ -148,6 +158,18 @@ class NavigateSkill final : public Skill {
                  cv::Scalar(255), options_.horizon.column_step);
       }
     }
+    return true;
+  }
+
+  /// The last choice, for a heading that has turned since; nothing where it is too old.
+  [[nodiscard]] std::optional<control::Guidance> remembered(const Eigen::Vector3d& goal, const Attitude& attitude,
+                                                            double too_high_m, double time_s) const {
+    if (!chosen_ || time_s - chosen_->time_s > options_.navigate_policy.lookahead_s) {
+      return std::nullopt;
+    }
+    const double angle = chosen_->direction_rad - attitude.yaw_rad;
+    return control::Guidance{goal, levelled({std::cos(angle), std::sin(angle), 0.0}, too_high_m), chosen_->weight,
+                             chosen_->speed_m_s};
   }
 
   /// w of Eq. 3: the corridor alone counts where the way to the goal is not free.
@@ -198,6 +220,14 @@ class NavigateSkill final : public Skill {
     return level;
   }
 
+  /// A corridor, in axes that do not turn with the vehicle.
+  struct Chosen {
+    double time_s;
+    double direction_rad;
+    double weight;
+    double speed_m_s;
+  };
+
   SkillOptions options_;
   Signal signal_;
   double max_age_s_;
@@ -208,6 +238,7 @@ class NavigateSkill final : public Skill {
   std::optional<double> goal_yaw_rad_;
   Eigen::Vector2d position_m_ = Eigen::Vector2d::Zero();  ///< north, east, since the beginning
   std::optional<double> moved_s_;
+  std::optional<Chosen> chosen_;
   bool first_ = true;
 };
 

@@ -64,6 +64,7 @@ Signal network_signal(InferFunction infer, double horizontal_fov_rad, tasks::Sca
     result.map = tasks::scalar_map(*field, scalar);
     if (!aligned.image.empty()) {
       result.map = tasks::within(result.map, aligned.valid);
+      result.valid = aligned.valid;
     }
     return result;
   };

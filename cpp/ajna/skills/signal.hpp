@@ -51,6 +51,7 @@ const char* to_string(CommonMotion motion) noexcept;
 /// What a signal says of a pair.
 struct SignalMap {
   cv::Mat map;                      ///< CV_32F, scalar uncertainty on the first frame's grid
+  cv::Mat valid;                    ///< CV_8U, 0 where the second frame has no picture for it; empty: everywhere
   std::optional<FlowSummary> flow;  ///< where a network made it
 };
 

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <limits>
 #include <optional>
 #include <string>
@@ -23,6 +24,7 @@ void between(double value, double low, double high, const char* name) {
 /// Rows of a column that lie in the band about the horizon, and the horizon's own.
 struct Band {
   double horizon_row;
+  int wanted;  ///< rows of the whole band, those outside of the image included
   int first;
   int last;
 };
@@ -38,7 +40,7 @@ std::optional<Band> band_of(const geometry::Camera& camera, const Eigen::Matrix3
   const Eigen::Vector3d ray = rotation * Eigen::Vector3d(u, v, 1.0);
   const double half = slope * std::hypot(ray.x(), ray.y()) / std::abs(per_v) * camera.fy;
   const double row = camera.cy + v * camera.fy;
-  Band band{row, std::max(0, static_cast<int>(std::ceil(row - half))),
+  Band band{row, static_cast<int>(2.0 * half) + 1, std::max(0, static_cast<int>(std::ceil(row - half))),
             std::min(camera.height - 1, static_cast<int>(std::floor(row + half)))};
   return band.first <= band.last ? std::optional(band) : std::nullopt;
 }
@@ -55,30 +57,45 @@ void validate(const HorizonOptions& options) {
   between(options.column_step, 1, 64, "horizon.column_step");
 }
 
-Obstacles horizon_obstacles(const cv::Mat& map, const Eigen::Matrix3d& heading_from_camera, double horizontal_fov_rad,
-                            const Eigen::Vector3d& move_m, const HorizonOptions& options) {
+std::optional<Obstacles> horizon_obstacles(const cv::Mat& map, const cv::Mat& valid,
+                                           const Eigen::Matrix3d& heading_from_camera, double horizontal_fov_rad,
+                                           const Eigen::Vector3d& move_m, const HorizonOptions& options) {
   validate(options);
   if (map.empty() || map.type() != CV_32F) {
     throw_invalid("horizon: give a scalar map of uncertainty, float32 [H, W]");
   }
-  Obstacles obstacles;
+  if (!valid.empty() && (valid.type() != CV_8U || valid.size() != map.size())) {
+    throw_invalid("horizon: give a mask of valid pixels of the map's size, uint8 [H, W]");
+  }
   const double move = move_m.norm();
   const auto camera = geometry::Camera::from_horizontal_fov(map.cols, map.rows, horizontal_fov_rad);
   const auto focus = move >= options.min_move_m ? camera.project(heading_from_camera.transpose() * move_m)
                                                 : std::optional<Eigen::Vector2d>();
   if (!focus) {
-    return obstacles;
+    return std::nullopt;
   }
+  Obstacles obstacles;
+  int columns = 0;
+  int seen = 0;
   for (int x = 0; x < map.cols; x += options.column_step) {
+    ++columns;
     const auto band = band_of(camera, heading_from_camera, x, options.band);
     if (!band) {
       continue;
     }
     double sum = 0.0;
+    int count = 0;
     for (int y = band->first; y <= band->last; ++y) {
-      sum += static_cast<double>(map.at<float>(y, x));
+      if (valid.empty() || valid.at<std::uint8_t>(y, x) != 0) {
+        sum += static_cast<double>(map.at<float>(y, x));
+        ++count;
+      }
     }
-    const double excess = sum / (band->last - band->first + 1) - options.floor;
+    if (count == 0 || 2 * count < band->wanted) {
+      continue;
+    }
+    ++seen;
+    const double excess = sum / count - options.floor;
     const Eigen::Vector2d pixel(x, band->horizon_row);
     const double depth = excess > 0.0
                              ? options.per_px * ((pixel - *focus).norm() + options.least_shift_px) * move / excess
@@ -89,7 +106,7 @@ Obstacles horizon_obstacles(const cv::Mat& map, const Eigen::Matrix3d& heading_f
       obstacles.emplace_back(depth * ray.x(), depth * ray.y());
     }
   }
-  return obstacles;
+  return 2 * seen >= columns ? std::optional(obstacles) : std::nullopt;
 }
 
 void validate(const CorridorOptions& options) {
@@ -100,6 +117,8 @@ void validate(const CorridorOptions& options) {
   between(options.horizon_m, 1.0, 1000.0, "corridor.horizon_m");
   between(options.remember_m, 0.0, 1000.0, "corridor.remember_m");
   between(options.remember_s, 0.0, 10.0, "corridor.remember_s");
+  between(options.remember_move_m, 0.0, 100.0, "corridor.remember_move_m");
+  between(options.support, 1, 1000, "corridor.support");
   between(options.room_weight, 0.0, 10.0, "corridor.room_weight");
   between(options.goal_weight, 0.0, 10.0, "corridor.goal_weight");
   between(options.keep_weight, 0.0, 10.0, "corridor.keep_weight");
@@ -117,22 +136,28 @@ void CorridorPlanner::reset() noexcept {
 double CorridorPlanner::free_length(const Obstacles& obstacles, double angle_rad, double half_width_m) const {
   constexpr double kBeside_m = 0.2;  // behind the camera's plane, but still beside the vehicle
   const Eigen::Vector2d ahead(std::cos(angle_rad), std::sin(angle_rad));
-  double free_m = options_.horizon_m;
+  std::vector<double> blocked_at;
   for (const auto& thing : obstacles) {
     const double along = ahead.dot(thing);
     const double across = std::abs(ahead.x() * thing.y() - ahead.y() * thing.x());
-    if (across < half_width_m && along > -kBeside_m) {
-      free_m = std::min(free_m, std::max(along, 0.0));
+    if (across < half_width_m && along > -kBeside_m && along < options_.horizon_m) {
+      blocked_at.push_back(std::max(along, 0.0));
     }
   }
-  return free_m;
+  if (blocked_at.size() < static_cast<std::size_t>(options_.support)) {
+    return options_.horizon_m;
+  }
+  const auto nth = blocked_at.begin() + (options_.support - 1);
+  std::nth_element(blocked_at.begin(), nth, blocked_at.end());
+  return *nth;
 }
 
 Corridor CorridorPlanner::plan(const Obstacles& obstacles, double time_s, const Eigen::Vector2d& position_m,
                                double yaw_rad, double goal_rad) {
   Eigen::Matrix2d fixed_from_heading;
   fixed_from_heading << std::cos(yaw_rad), -std::sin(yaw_rad), std::sin(yaw_rad), std::cos(yaw_rad);
-  while (!memory_.empty() && time_s - memory_.front().time_s > options_.remember_s) {
+  while (!memory_.empty() && (time_s - memory_.front().time_s > options_.remember_s ||
+                              (position_m - memory_.front().from_m).norm() > options_.remember_move_m)) {
     memory_.pop_front();
   }
   Obstacles all = obstacles;
@@ -141,7 +166,7 @@ Corridor CorridorPlanner::plan(const Obstacles& obstacles, double time_s, const 
       all.emplace_back(fixed_from_heading.transpose() * (thing - position_m));
     }
   }
-  Seen now{time_s, {}};
+  Seen now{time_s, position_m, {}};
   Corridor best;
   best.close_m = options_.horizon_m;
   for (const auto& thing : obstacles) {

@@ -4,6 +4,7 @@
 #include <Eigen/Core>
 #include <deque>
 #include <opencv2/core.hpp>
+#include <optional>
 #include <vector>
 
 namespace ajna::tasks {
@@ -27,26 +28,32 @@ void validate(const HorizonOptions& options);
 using Obstacles = std::vector<Eigen::Vector2d>;
 
 /// The nearest thing of each column of the map. A point at depth Z that is r pixels from the focus of expansion moves
-/// by r b / Z pixels while the camera moves by b; so with uncertainty Y = floor + per_px (r + least_shift_px) b / Z, Z
-/// = per_px (r + least_shift_px) b / (Y - floor). map: CV_32F, of a pair from which turning is taken out.
+/// by r b / Z pixels while the camera moves by b; so with uncertainty Y = floor + per_px (r + least_shift_px) b / Z,
+/// the depth is per_px (r + least_shift_px) b / (Y - floor).
+///
+/// map: CV_32F, of a pair from which turning is taken out. valid: CV_8U, 0 where the map says nothing; empty: nowhere.
 /// heading_from_camera: rotation, see skills::Attitude. move_m: the camera's motion between the frames, heading frame.
-/// Empty where it is shorter than min_move_m, or backwards. Throws Error(kInvalidArgument) for a map that is none.
-Obstacles horizon_obstacles(const cv::Mat& map, const Eigen::Matrix3d& heading_from_camera, double horizontal_fov_rad,
-                            const Eigen::Vector3d& move_m, const HorizonOptions& options = {});
+/// Nothing where it is shorter than min_move_m, or backwards, or where less than half of the columns see the horizon.
+/// Throws Error(kInvalidArgument) for a map or a mask that is none.
+std::optional<Obstacles> horizon_obstacles(const cv::Mat& map, const cv::Mat& valid,
+                                           const Eigen::Matrix3d& heading_from_camera, double horizontal_fov_rad,
+                                           const Eigen::Vector3d& move_m, const HorizonOptions& options = {});
 
 struct CorridorOptions {
-  double half_width_m = 0.45;  ///< of the corridor that must be free: vehicle, and room on both sides
-  double room_m = 0.3;         ///< more of it on both sides is better
-  double fan_rad = 0.7;        ///< directions are looked at up to so far to both sides
-  int directions = 81;         ///< in that fan
-  double horizon_m = 9.0;      ///< free further than this is no better
-  double remember_m = 4.0;     ///< nearer things count on after they have left the picture ...
-  double remember_s = 0.8;     ///< ... for so long
-  double room_weight = 0.35;   ///< of the wider corridor's length against the narrow one's, both over horizon_m
-  double goal_weight = 0.45;   ///< of the angle to the goal, per radian
-  double keep_weight = 0.12;   ///< of the angle to the last choice, per radian
-  double brake_m_s2 = 4.0;     ///< the speed is one that can be braked within what is free
-  double stop_m = 0.3;         ///< that much of it is left over
+  double half_width_m = 0.45;    ///< of the corridor that must be free: vehicle, and room on both sides
+  double room_m = 0.3;           ///< more of it on both sides is better
+  double fan_rad = 0.7;          ///< directions are looked at up to so far to both sides
+  int directions = 81;           ///< in that fan
+  double horizon_m = 9.0;        ///< free further than this is no better
+  double remember_m = 4.0;       ///< nearer things count on after they have left the picture ...
+  double remember_s = 3.0;       ///< ... for so long at most ...
+  double remember_move_m = 3.0;  ///< ... and until the vehicle has moved so far
+  int support = 3;               ///< so many points must stand in a corridor to block it
+  double room_weight = 0.35;     ///< of the wider corridor's length against the narrow one's, both over horizon_m
+  double goal_weight = 0.45;     ///< of the angle to the goal, per radian
+  double keep_weight = 0.12;     ///< of the angle to the last choice, per radian
+  double brake_m_s2 = 4.0;       ///< the speed is one that can be braked within what is free
+  double stop_m = 0.3;           ///< that much of it is left over
 };
 /// Throws Error(kInvalidArgument) that names the first option out of range.
 void validate(const CorridorOptions& options);
@@ -74,6 +81,7 @@ class CorridorPlanner {
  private:
   struct Seen {
     double time_s;
+    Eigen::Vector2d from_m;
     Obstacles at_m;  ///< fixed axes
   };
   [[nodiscard]] double free_length(const Obstacles& obstacles, double angle_rad, double half_width_m) const;
