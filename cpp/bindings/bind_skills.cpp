@@ -123,6 +123,8 @@ void bind_horizon(py::module_& m) {
   AJNA_FIELD(room_weight);
   AJNA_FIELD(goal_weight);
   AJNA_FIELD(keep_weight);
+  AJNA_FIELD(need_m);
+  AJNA_FIELD(need_weight);
   AJNA_FIELD(brake_m_s2);
   AJNA_FIELD(stop_m);
 #undef AJNA_FIELD

@@ -122,6 +122,8 @@ void validate(const CorridorOptions& options) {
   between(options.room_weight, 0.0, 10.0, "corridor.room_weight");
   between(options.goal_weight, 0.0, 10.0, "corridor.goal_weight");
   between(options.keep_weight, 0.0, 10.0, "corridor.keep_weight");
+  between(options.need_m, 0.1, 100.0, "corridor.need_m");
+  between(options.need_weight, 0.0, 10.0, "corridor.need_weight");
   between(options.brake_m_s2, 0.1, 50.0, "corridor.brake_m_s2");
   between(options.stop_m, 0.0, 10.0, "corridor.stop_m");
 }
@@ -130,7 +132,7 @@ CorridorPlanner::CorridorPlanner(const CorridorOptions& options) : options_(opti
 
 void CorridorPlanner::reset() noexcept {
   memory_.clear();
-  last_rad_ = 0.0;
+  last_rad_.reset();
 }
 
 double CorridorPlanner::free_length(const Obstacles& obstacles, double angle_rad, double half_width_m) const {
@@ -181,14 +183,15 @@ Corridor CorridorPlanner::plan(const Obstacles& obstacles, double time_s, const 
   memory_.push_back(std::move(now));
 
   const double goal = std::clamp(goal_rad, -M_PI / 2, M_PI / 2);
+  const double last = last_rad_ ? std::remainder(*last_rad_ - yaw_rad, 2.0 * M_PI) : goal;
   double best_score = -std::numeric_limits<double>::infinity();
   for (int i = 0; i < options_.directions; ++i) {
     const double angle = options_.fan_rad * (2.0 * i / (options_.directions - 1) - 1.0);
     const double narrow = free_length(all, angle, options_.half_width_m);
     const double wide = free_length(all, angle, options_.half_width_m + options_.room_m);
     const double score = (narrow + options_.room_weight * wide) / options_.horizon_m -
-                         options_.goal_weight * std::abs(angle - goal) -
-                         options_.keep_weight * std::abs(angle - last_rad_);
+                         options_.goal_weight * std::abs(angle - goal) - options_.keep_weight * std::abs(angle - last) -
+                         options_.need_weight * std::max(0.0, 1.0 - narrow / options_.need_m);
     if (score > best_score) {
       best_score = score;
       best.angle_rad = angle;
@@ -197,7 +200,7 @@ Corridor CorridorPlanner::plan(const Obstacles& obstacles, double time_s, const 
   }
   best.goal_free_m = free_length(all, goal, options_.half_width_m);
   best.speed_m_s = std::sqrt(2.0 * options_.brake_m_s2 * std::max(best.free_m - options_.stop_m, 0.0));
-  last_rad_ = best.angle_rad;
+  last_rad_ = yaw_rad + best.angle_rad;
   return best;
 }
 

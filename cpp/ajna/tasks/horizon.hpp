@@ -50,10 +50,12 @@ struct CorridorOptions {
   double remember_move_m = 3.0;  ///< ... and until the vehicle has moved so far
   int support = 3;               ///< so many points must stand in a corridor to block it
   double room_weight = 0.35;     ///< of the wider corridor's length against the narrow one's, both over horizon_m
-  double goal_weight = 0.45;     ///< of the angle to the goal, per radian
-  double keep_weight = 0.12;     ///< of the angle to the last choice, per radian
-  double brake_m_s2 = 4.0;       ///< the speed is one that can be braked within what is free
-  double stop_m = 0.3;           ///< that much of it is left over
+  double goal_weight = 0.4;      ///< of the angle to the goal, per radian
+  double keep_weight = 0.3;  ///< of the angle to the last choice, per radian: what is turned back from halfway is hit
+  double need_m = 3.5;       ///< what is free for less ...
+  double need_weight = 1.5;  ///< ... loses by so much times the missing share
+  double brake_m_s2 = 4.0;   ///< the speed is one that can be braked within what is free
+  double stop_m = 0.3;       ///< that much of it is left over
 };
 /// Throws Error(kInvalidArgument) that names the first option out of range.
 void validate(const CorridorOptions& options);
@@ -88,7 +90,7 @@ class CorridorPlanner {
 
   CorridorOptions options_;
   std::deque<Seen> memory_;
-  double last_rad_ = 0.0;
+  std::optional<double> last_rad_;  ///< fixed axes
 };
 
 }  // namespace ajna::tasks
