@@ -174,6 +174,25 @@ class Command:
     @property
     def yaw_rate_rad_s(self) -> float: ...
 
+class CorridorOptions:
+    half_width_m: float
+    room_m: float
+    fan_rad: float
+    directions: int
+    horizon_m: float
+    remember_m: float
+    remember_s: float
+    remember_move_m: float
+    support: int
+    room_weight: float
+    goal_weight: float
+    keep_weight: float
+    need_m: float
+    need_weight: float
+    brake_m_s2: float
+    stop_m: float
+    def __init__(self) -> None: ...
+
 class DodgeOptions:
     confirm_frames: int
     convex: bool
@@ -451,6 +470,16 @@ class Guidance:
     weight: float
     def __init__(self, goal: ArrayLike, free: ArrayLike, weight: float) -> None: ...
 
+class HorizonOptions:
+    band: float
+    floor: float
+    per_px: float
+    least_shift_px: float
+    max_distance_m: float
+    min_move_m: float
+    column_step: int
+    def __init__(self) -> None: ...
+
 class Likelihood:
     @staticmethod
     def of(loss: UncertaintyLoss, channels: int = ...) -> Likelihood | None: ...
@@ -609,6 +638,7 @@ class NavigatePolicyOptions:
     direction: PidOptions
     lookahead_s: float
     max_acceleration_m_s2: float
+    max_jerk_m_s3: float
     slow_down: float
     speed_m_s: float
     yaw: PidOptions
@@ -850,8 +880,11 @@ class SkillOptions:
     goal_bearing_rad: float
     dodge: DodgeOptions
     dodge_policy: DodgePolicyOptions
+    horizon: HorizonOptions
+    corridor: CorridorOptions
     navigate: NavigateOptions
     navigate_policy: NavigatePolicyOptions
+    max_turn_rad_s: float
     baseline_s: float
     height_gain: float
     largest_slope: float
@@ -1006,6 +1039,13 @@ def find_regions(uncertainty: NDArray[Any], options: MapOptions = ...) -> MapSte
 def fit_expansion(begin: ArrayLike, end: ArrayLike, options: FitOptions = ...) -> Expansion: ...
 def focus_of_expansion(begin: ArrayLike, end: ArrayLike, options: FitOptions = ...) -> FocusOfExpansion: ...
 def known_flow(flow: NDArray[Any]) -> NDArray[np.bool_]: ...
+def horizon_obstacles(
+    map: NDArray[np.float32],
+    heading_from_camera: ArrayLike,
+    horizontal_fov_rad: float,
+    move_m: ArrayLike,
+    options: HorizonOptions = ...,
+) -> NDArray[np.float64]: ...
 def largest_free_space(unsafe: ArrayLike, window: Sequence[int] | None = ...) -> FreeSpace: ...
 def load_checkpoint(path: Path) -> tuple[FlowNetCore, CheckpointMetadata]: ...
 def loss_expression_functions() -> list[str]: ...
