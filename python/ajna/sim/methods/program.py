@@ -94,7 +94,7 @@ class FlightProgram:
         self,
         weights: str | Path | None = None,
         program: str | Path | None = None,
-        time_scale: float = 0.15,
+        time_scale: float = 0.08,
         log: Path | None = None,
     ) -> None:
         self._program = find_program(program)
@@ -242,7 +242,7 @@ class FlightProgram:
             return
         self._process.terminate()
         try:
-            self._process.wait(5)
+            self._process.wait(5 + 2 / self._scale)  # it releases for half a second of its own clock
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
