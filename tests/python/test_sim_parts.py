@@ -7,7 +7,6 @@ import importlib
 import json
 import math
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -22,7 +21,6 @@ from ajna.sim.camera import CameraModel, add_sensor_noise, exposure_gain
 from ajna.sim.episode import EpisodeResult, intersection_over_union
 from ajna.sim.flight import Flight
 from ajna.sim.methods import METHODS
-from ajna.sim.methods.adapter import Network, image_input
 from ajna.sim.methods.base import largest_region
 from ajna.sim.methods.events import EventSensor
 from ajna.sim.observation import TaskSetup
@@ -290,45 +288,6 @@ def test_largest_region() -> None:
     assert largest_region(mask).sum() == 16
     assert largest_region(mask, least_px=17) is None
     assert largest_region(np.zeros((4, 4), bool)) is None
-
-
-@pytest.fixture(scope="module")
-def red_network(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A TorchScript file that answers with the red channel."""
-    import torch
-
-    class Red(torch.nn.Module):
-        def forward(self, x: torch.Tensor) -> torch.Tensor:
-            return x[:, :1]
-
-    path = tmp_path_factory.mktemp("net") / "red.pt"
-    torch.jit.trace(Red(), torch.zeros(1, 3, 8, 8)).save(str(path))
-    return path
-
-
-def test_network_of_the_user(red_network: Path) -> None:
-    image = np.random.default_rng(0).integers(0, 255, (24, 32, 3), dtype=np.uint8)
-    network = Network(red_network)
-    assert np.allclose(network(image_input(image)), image_input(image)[0])
-    assert Network(red_network, size=(12, 16))(image_input(image)).shape == (24, 32)
-    for name in ("midas", "midas-s", "mask-rcnn", "pointrend", "evdodgenet"):
-        assert make_method(name, red_network).name == name
-
-
-def test_network_errors(tmp_path: Path, red_network: Path) -> None:
-    with pytest.raises(FileNotFoundError, match="does not exist"):
-        Network(tmp_path / "none.pt")
-    for name in ("broken.pt", "broken.onnx"):
-        (tmp_path / name).write_bytes(b"not a network")
-        with pytest.raises(ValueError, match="cannot be loaded"):
-            Network(tmp_path / name)
-    (tmp_path / "net.bin").write_bytes(b"")
-    with pytest.raises(ValueError, match="unknown extension"):
-        Network(tmp_path / "net.bin")
-    network = Network(red_network)
-    network._net = lambda batch: 1 / 0
-    with pytest.raises(ValueError, match="fails on an input"):
-        network(np.zeros((3, 8, 8), np.float32))
 
 
 def test_without_mujoco_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -36,6 +36,7 @@ class EpisodeResult:
     safe_point_error_px: mean distance of the method's point from the one that true depth gives on the same frame.
     decided_s: time of the frame on which the method first acted on a detection; None: it never did.
     best_iou: the largest on any frame from then on.
+    wall_s: how long the trial took here, physics, pictures, method and judge together (without making the world).
     path: (t, x, y, z) once a frame.
     """
 
@@ -56,6 +57,7 @@ class EpisodeResult:
     run_time_ms: float | None = None
     decided_s: float | None = None
     best_iou: float | None = None
+    wall_s: float | None = None
     path: list[tuple[float, ...]] = field(default_factory=list)
 
     def to_json(self) -> dict[str, Any]:
@@ -97,6 +99,8 @@ def _prepare(frame: Frame, method: Method) -> None:
     """Render what the method needs, so that its run time is its own."""
     if "rgb" in method.needs:
         _ = frame.rgb
+    if "right" in method.needs:
+        frame.right(method.baseline_m)  # type: ignore[attr-defined]  # what needs a second camera says where it sits
     if "depth" in method.needs:
         _ = frame.body
 
@@ -125,7 +129,7 @@ def run_episode(
     method: Method | str,
     renderer: Renderer | None = None,
     watch: Watcher | None = None,
-    reference: bool | None = None,
+    reference: bool | EpisodeResult | None = None,
 ) -> EpisodeResult:
     """Fly one trial.
 
@@ -134,8 +138,8 @@ def run_episode(
         method: a method, or the name of one that needs no weights.
         renderer: of the world's model, where one is at hand; otherwise one is made and closed.
         watch: called with every observation and the answer to it, for videos.
-        reference: whether true depth flies the same world, too, to compare the paths (navigation only); by default
-            for every method but true depth.
+        reference: whether true depth flies the same world, too, to compare the paths (navigation only), or its trial
+            in this world where it has flown already; by default it flies for every method but true depth.
 
     Raises:
         ValueError: the method does not do the world's task; NoRenderingError: nothing can be rendered here.
@@ -149,7 +153,7 @@ def run_episode(
         if reference is None:
             reference = world.task == "navigate" and flown.name != "depth"
         if reference and world.task == "navigate":
-            truth = _fly(world, make_method("depth"), own, None)
+            truth = reference if isinstance(reference, EpisodeResult) else _fly(world, make_method("depth"), own, None)
             result.reference_path_length_m = truth.path_length_m if truth.success else None
         return result
     finally:
@@ -158,6 +162,7 @@ def run_episode(
 
 
 def _fly(world: World, method: Method, renderer: Renderer, watch: Watcher | None) -> EpisodeResult:
+    begin = time.perf_counter()
     flight = Flight(world, renderer, world.seed)
     method.reset(_setup_for(world))
     judge = make_method("depth") if world.task == "navigate" and method.name != "depth" else None
@@ -212,6 +217,7 @@ def _fly(world: World, method: Method, renderer: Renderer, watch: Watcher | None
         run_time_ms=1e3 * float(np.median(run_times)) if run_times else None,
         decided_s=decided_s,
         best_iou=best_iou,
+        wall_s=time.perf_counter() - begin,
         path=[tuple(round(v, 4) for v in point) for point in flight.path],
     )
 
@@ -219,6 +225,7 @@ def _fly(world: World, method: Method, renderer: Renderer, watch: Watcher | None
 def _look(world: World, method: Method, renderer: Renderer, watch: Watcher | None) -> EpisodeResult:
     """The two views of a pile; the mask counts on the second one."""
     assert isinstance(world.setup, PileSetup)
+    begin = time.perf_counter()
     flight = Flight(world, renderer, world.seed)
     method.reset(_setup_for(world))
     run_time, iou = 0.0, 0.0
@@ -248,6 +255,7 @@ def _look(world: World, method: Method, renderer: Renderer, watch: Watcher | Non
         mean_speed_m_s=0.0,
         detection_iou=iou,
         run_time_ms=1e3 * run_time,
+        wall_s=time.perf_counter() - begin,
     )
 
 

@@ -27,6 +27,7 @@ def summarize(results: Sequence[EpisodeResult]) -> dict[str, Any]:
     the method and true depth reached the goal. detection_rate: share of trials with IoU >= 0.5 on the frame that was
     acted on; detection_rate_best: on any frame from then on.
     safe_point_error_px: mean over trials of their mean. run_time_ms: median over trials (its interval, too).
+    frames_per_s: frames over the time their trials took, pictures, physics, method and judge together, in one worker.
 
     Raises:
         ValueError: for no results.
@@ -53,6 +54,9 @@ def summarize(results: Sequence[EpisodeResult]) -> dict[str, Any]:
     record["run_time_ms_ci"] = (
         list(bootstrap_interval(times, statistic=lambda s: np.median(s, axis=-1))) if times else None
     )
+    timed = [(result.frames, result.wall_s) for result in results if result.wall_s]
+    seconds = sum(wall_s for _, wall_s in timed)
+    record["frames_per_s"] = sum(frames for frames, _ in timed) / seconds if seconds else None
     reasons = sorted({result.reason for result in results})
     record["outcomes"] = {reason: sum(result.reason == reason for result in results) for reason in reasons}
     return record

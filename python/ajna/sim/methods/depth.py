@@ -125,6 +125,11 @@ class DepthPerception:
         self._task = setup.task
         self._background: Depth | None = None
 
+    @property
+    def baseline_m(self) -> float:
+        """Of a stereo sensor's second camera."""
+        return float(self._sensor.baseline_m)
+
     def depth(self, observation: Observation) -> Depth:
         return self._sensor(observation)
 
