@@ -165,7 +165,7 @@ def test_pilot_goes_around_a_wall() -> None:
     level = np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]], float)  # camera axes to forward, right, down
     observation = SimpleNamespace(
         frame=SimpleNamespace(camera=camera), heading_from_camera=level, displacement_m=np.zeros(3), yaw_rad=0.0,
-        height_m=1.5, hold_height_m=1.5, goal_m=np.array([20.0, 0, 0]),
+        height_m=1.5, hold_height_m=1.5, goal_m=np.array([20.0, 0, 0]), velocity_m_s=np.array([2.0, 0.0, 0.0]),
         pixel=lambda d: (camera.focal_px * d[1] / d[0] + camera.center_px[0], 0.0),
     )  # fmt: skip
     output = pilot(depth, observation)

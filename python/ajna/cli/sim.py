@@ -116,7 +116,7 @@ def _sentence(record: dict[str, Any]) -> str:
     parts = [f"{record['world']}, {record['method']}: success {_percent(record, 'success_rate')}"]
     parts[0] += f" of {record['trials']} trials"
     if record["mean_speed_m_s"] is not None and record["mean_speed_m_s"] > 0:
-        parts.append(f"{record['mean_speed_m_s']:.1f} m/s")
+        parts.append(f"{record['cruise_speed_m_s']:.1f} m/s")
     if record["path_increase_percent"] is not None:
         parts.append(f"path {record['path_increase_percent']:+.1f} %")
     if record["safe_point_error_px"] is not None:

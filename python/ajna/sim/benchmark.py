@@ -190,7 +190,7 @@ def as_markdown(experiment: str, rows: Sequence[Row]) -> str:
     """
     columns = [("success %", "success_rate", 100.0)]
     if task_of(experiment) == "navigate":
-        columns.append(("speed m/s", "mean_speed_m_s", 1.0))
+        columns.append(("speed m/s", "cruise_speed_m_s", 1.0))
         columns += [
             ("path increase %", "path_increase_percent", 1.0),
             ("safe point error px", "safe_point_error_px", 1.0),

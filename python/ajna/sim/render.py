@@ -125,7 +125,7 @@ class Renderer:
         total = cells[..., :3].copy()
         for offset in range(1, scale):
             total += cells[..., 3 * offset : 3 * offset + 3]
-        return total[::-1].astype(np.float32) / (scale * scale)
+        return total[::-1].astype(np.float32) / np.float32(scale * scale)
 
     def depth_and_geom(self, qpos: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
         """Depth in metres float32 [H, W] (infinite in the sky) and the geom's number int32 [H, W] (-1 in the sky)."""

@@ -160,10 +160,18 @@ class Speed:
         return {**asdict(self), "frames_per_s": self.frames_per_s}
 
 
-def _prepare_worker() -> None:
-    """Workers are what runs side by side: one thread each. Mesa's software renderer and OpenMP read these."""
-    os.environ.setdefault("LP_NUM_THREADS", "0")
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
+@contextmanager
+def _environment_of_workers() -> Iterator[None]:
+    """Workers are what runs side by side: one thread each. NumPy's BLAS and Mesa's software renderer read these when
+    they are loaded, hence before anything of ours runs in a worker."""
+    names = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "LP_NUM_THREADS": "0"}
+    added = [name for name in names if name not in os.environ]
+    os.environ.update({name: names[name] for name in added})
+    try:
+        yield
+    finally:
+        for name in added:
+            os.environ.pop(name, None)
 
 
 @contextmanager
@@ -270,7 +278,7 @@ def _flown(plan: TrialPlan, seeds: list[int], workers: int) -> Iterator[tuple[Ep
         return
     # A fresh interpreter per worker: OpenGL contexts and thread pools do not survive a fork.
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=_prepare_worker) as pool:
+    with _environment_of_workers(), ProcessPoolExecutor(workers, mp_context=context) as pool:
         pending = {pool.submit(_run_one, plan, seed) for seed in seeds}
         try:
             while pending:

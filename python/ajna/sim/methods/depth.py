@@ -65,8 +65,10 @@ class D435iSensor:
             inverse = np.where(np.isfinite(depth), 1 / depth, 0.0).astype(np.float32)
             kernel = np.ones((3, 3), np.uint8)
             edge = cv2.dilate(inverse, kernel) > cv2.erode(inverse, kernel) * (1 + self.JUMP) + 0.01
-            sigma = depth**2 * self.MATCH_ERROR_PX / (frame.camera.focal_px * self.BASELINE_M)
-            noisy = depth + np.where(np.isfinite(depth), sigma, 0) * self._random.standard_normal(depth.shape)
+            # Of the disparity: noise on the depth itself would bring some of the far background within range.
+            sigma = self.MATCH_ERROR_PX / (frame.camera.focal_px * self.BASELINE_M)
+            measured = inverse + sigma * self._random.standard_normal(depth.shape)
+            noisy = np.where(measured > 0, 1 / measured, np.inf)
         low, high = self.RANGE_M
         coarse = self._random.random((depth.shape[0] // 16 + 1, depth.shape[1] // 16 + 1), dtype=np.float32)
         patchy = cv2.resize(coarse, depth.shape[::-1], interpolation=cv2.INTER_CUBIC) > 0.985
