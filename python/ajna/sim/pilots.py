@@ -55,8 +55,11 @@ class NavigatePilot:
         self._last = 0.0
         self._turn = 0.0
 
-    def _points(self, depth: NDArray[np.floating], observation: Observation) -> Floats:
-        """The nearest point of each second column at the height of flight, (forward, right) in the heading frame."""
+    def _points(self, depth: NDArray[np.floating], observation: Observation) -> tuple[Floats, Mask]:
+        """The nearest point of each second column at the height of flight, (forward, right) in the heading frame.
+
+        With it what there is at the height of flight, at half the size.
+        """
         z = np.asarray(depth[::2, ::2], dtype=np.float64)
         rays = observation.frame.camera.rays[::2, ::2]
         finite = np.isfinite(z) & (z < self.HORIZON_M * 1.5)
@@ -65,7 +68,7 @@ class NavigatePilot:
         distance = np.where(hit, np.hypot(points[..., 0], points[..., 1]), np.inf)
         row = distance.argmin(axis=0)
         columns = np.arange(z.shape[1])
-        return points[row, columns, :2][np.isfinite(distance[row, columns])]
+        return points[row, columns, :2][np.isfinite(distance[row, columns])], hit
 
     def _remembered(self, points: Floats, observation: Observation) -> Floats:
         """The points with those of the last frames, carried along by the odometry; one for each small cell."""
@@ -105,7 +108,8 @@ class NavigatePilot:
     def __call__(self, depth: NDArray[np.floating], observation: Observation) -> Output:
         """``depth``: metres [H, W], infinite or NaN where nothing is known to be."""
         setup = self._setup
-        points = self._remembered(self._points(depth, observation), observation)
+        seen, hit = self._points(depth, observation)
+        points = self._remembered(seen, observation)
         ways = self._ways(observation.velocity_m_s[:2])
         room = self._room(ways, points)
         # Half the diagonal over the rotors, and a hand's width; where something is nearer already, not nearer still.
@@ -139,7 +143,7 @@ class NavigatePilot:
             self._turn = self._turn or (1.0 if angle >= 0 else -1.0)
             yaw_rate = 1.2 * self._turn
         self._last = angle
-        near = np.isfinite(depth) & (depth < max(float(np.hypot(*ways[best, until[best]])), 1.0))
+        near = hit.repeat(2, axis=0).repeat(2, axis=1)[: depth.shape[0], : depth.shape[1]]
         point = observation.pixel(np.array([np.cos(angle), np.sin(angle), 0.0]))
         return Output(near, point, Command((forward, right, _climb(observation)), yaw_rate))
 

@@ -34,9 +34,9 @@ class TrueDepthSensor:
 class D435iSensor:
     """True depth with the faults of an active stereo camera.
 
-    Range 0.3 to 10 m; noise that grows with the square of the distance (stereo with 50 mm baseline and 0.08 px
-    matching error at this image's focal length); holes where depth jumps and, at random, in patches; things that move
-    by themselves are seen where they were one frame ago.
+    Range 0.3 to 10 m; noise of the disparity, hence one that grows with the square of the distance (stereo with 50 mm
+    baseline and 0.08 px matching error at this image's focal length); holes where depth jumps and, at random, in
+    patches; things that move by themselves are seen where they were one frame ago.
     """
 
     needs = frozenset({"depth"})
