@@ -179,7 +179,8 @@ class DepthPerception:
             with np.errstate(divide="ignore", invalid="ignore"):
                 height = np.where(known, 1 / (rays @ plane) - depth, 0.0)
             spread = 1.4826 * np.median(np.abs(height[use]))
-            limit = max(self.OUT_OF_PLANE_M, 3 * float(spread) if self._sensor.noise else 0.0)
+            # The first fits are tilted by what lies on the table; without noise the spread then vanishes.
+            limit = max(self.OUT_OF_PLANE_M, 3 * float(spread))
             above = known & (height > limit)
             use = known & (np.abs(height) < limit)
             if use.sum() < 100:
