@@ -23,7 +23,8 @@ _INTRODUCTION = """## Simulation: reference methods, and Ajna beside them
 
 What flies and how it is measured stands in [simulation](simulation.md). Columns "paper" are the paper's figures, of
 its own scenes and vehicle; columns "ours" are measured in the simulated worlds, with a 95 % bootstrap interval over the
-trials (without width where all trials agree). A dash: not given, or does not apply.
+trials (without width where all trials agree). A dash: not given, or does not apply. Ours are stand-ins in part: OccMask
+and GapFlyt run on OpenCV's DIS flow, MorphEyes on semi-global matching, D435i is a model of the sensor.
 
 ```sh
 ajna bench WORLD --trials 50 --out flights      # for each world; goes on where it stopped
