@@ -23,6 +23,7 @@ from ajna.sim.flight import Flight
 from ajna.sim.methods import METHODS
 from ajna.sim.methods.base import largest_region
 from ajna.sim.methods.events import EventSensor
+from ajna.sim.methods.flow import OcclusionMask
 from ajna.sim.observation import TaskSetup
 from ajna.sim.pilots import DodgePilot, NavigatePilot
 from ajna.sim.statistics import bootstrap_interval, summarize
@@ -280,6 +281,30 @@ def test_events_count_steps_of_the_logarithm() -> None:
     assert sensor(brighter)[1, 2] == 2
     events = sensor(darker)
     assert events[3, 3] == -1 and np.count_nonzero(events) == 1  # the rest of the first step is kept
+
+
+def test_what_leaves_the_picture_is_not_occluded() -> None:
+    """A picture that slides by 8 pixels occludes nothing; a square that slides over a still one does."""
+    import cv2
+
+    random = np.random.default_rng(0)
+    wide = cv2.GaussianBlur(random.integers(0, 255, (120, 200, 3), dtype=np.uint8), (0, 0), 1.5)
+    sliding = OcclusionMask()
+    sliding.reset(TaskSetup("pile", CameraModel(), 0.0, 0.25, 0))
+    assert sliding.mask(SimpleNamespace(rgb=np.ascontiguousarray(wide[:, :160])), False) is None  # the first one
+    assert not sliding._occluded(SimpleNamespace(rgb=np.ascontiguousarray(wide[:, 8:168]))).any()
+
+    still = np.ascontiguousarray(wide[:, :160])
+    first, second = still.copy(), still.copy()
+    first[40:80, 50:90] = wide[:40, 160:]
+    second[40:80, 58:98] = wide[:40, 160:]
+    moving = OcclusionMask()
+    moving.reset(TaskSetup("dodge", CameraModel(), 0.0, 0.25, 0))
+    moving.mask(SimpleNamespace(rgb=first), False)
+    occluded = moving._occluded(SimpleNamespace(rgb=second))
+    assert occluded[42:78, 50:58].mean() > 0.5  # uncovered
+    occluded[34:86, 44:104] = False
+    assert occluded.mean() < 0.01
 
 
 def test_largest_region() -> None:
