@@ -7,7 +7,6 @@ import importlib
 import json
 import math
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -22,9 +21,9 @@ from ajna.sim.camera import CameraModel, add_sensor_noise, exposure_gain
 from ajna.sim.episode import EpisodeResult, intersection_over_union
 from ajna.sim.flight import Flight
 from ajna.sim.methods import METHODS
-from ajna.sim.methods.adapter import Network, image_input
 from ajna.sim.methods.base import largest_region
 from ajna.sim.methods.events import EventSensor
+from ajna.sim.methods.flow import OcclusionMask
 from ajna.sim.observation import TaskSetup
 from ajna.sim.pilots import DodgePilot, NavigatePilot
 from ajna.sim.statistics import bootstrap_interval, summarize
@@ -167,7 +166,7 @@ def test_pilot_goes_around_a_wall() -> None:
     level = np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]], float)  # camera axes to forward, right, down
     observation = SimpleNamespace(
         frame=SimpleNamespace(camera=camera), heading_from_camera=level, displacement_m=np.zeros(3), yaw_rad=0.0,
-        height_m=1.5, hold_height_m=1.5, goal_m=np.array([20.0, 0, 0]),
+        height_m=1.5, hold_height_m=1.5, goal_m=np.array([20.0, 0, 0]), velocity_m_s=np.array([2.0, 0.0, 0.0]),
         pixel=lambda d: (camera.focal_px * d[1] / d[0] + camera.center_px[0], 0.0),
     )  # fmt: skip
     output = pilot(depth, observation)
@@ -284,51 +283,36 @@ def test_events_count_steps_of_the_logarithm() -> None:
     assert events[3, 3] == -1 and np.count_nonzero(events) == 1  # the rest of the first step is kept
 
 
+def test_what_leaves_the_picture_is_not_occluded() -> None:
+    """A picture that slides by 8 pixels occludes nothing; a square that slides over a still one does."""
+    import cv2
+
+    random = np.random.default_rng(0)
+    wide = cv2.GaussianBlur(random.integers(0, 255, (120, 200, 3), dtype=np.uint8), (0, 0), 1.5)
+    sliding = OcclusionMask()
+    sliding.reset(TaskSetup("pile", CameraModel(), 0.0, 0.25, 0))
+    assert sliding.mask(SimpleNamespace(rgb=np.ascontiguousarray(wide[:, :160])), False) is None  # the first one
+    assert not sliding._occluded(SimpleNamespace(rgb=np.ascontiguousarray(wide[:, 8:168]))).any()
+
+    still = np.ascontiguousarray(wide[:, :160])
+    first, second = still.copy(), still.copy()
+    first[40:80, 50:90] = wide[:40, 160:]
+    second[40:80, 58:98] = wide[:40, 160:]
+    moving = OcclusionMask()
+    moving.reset(TaskSetup("dodge", CameraModel(), 0.0, 0.25, 0))
+    moving.mask(SimpleNamespace(rgb=first), False)
+    occluded = moving._occluded(SimpleNamespace(rgb=second))
+    assert occluded[42:78, 50:58].mean() > 0.5  # uncovered
+    occluded[34:86, 44:104] = False
+    assert occluded.mean() < 0.01
+
+
 def test_largest_region() -> None:
     mask = np.zeros((10, 10), bool)
     mask[1:3, 1:3], mask[5:9, 5:9] = True, True
     assert largest_region(mask).sum() == 16
     assert largest_region(mask, least_px=17) is None
     assert largest_region(np.zeros((4, 4), bool)) is None
-
-
-@pytest.fixture(scope="module")
-def red_network(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A TorchScript file that answers with the red channel."""
-    import torch
-
-    class Red(torch.nn.Module):
-        def forward(self, x: torch.Tensor) -> torch.Tensor:
-            return x[:, :1]
-
-    path = tmp_path_factory.mktemp("net") / "red.pt"
-    torch.jit.trace(Red(), torch.zeros(1, 3, 8, 8)).save(str(path))
-    return path
-
-
-def test_network_of_the_user(red_network: Path) -> None:
-    image = np.random.default_rng(0).integers(0, 255, (24, 32, 3), dtype=np.uint8)
-    network = Network(red_network)
-    assert np.allclose(network(image_input(image)), image_input(image)[0])
-    assert Network(red_network, size=(12, 16))(image_input(image)).shape == (24, 32)
-    for name in ("midas", "midas-s", "mask-rcnn", "pointrend", "evdodgenet"):
-        assert make_method(name, red_network).name == name
-
-
-def test_network_errors(tmp_path: Path, red_network: Path) -> None:
-    with pytest.raises(FileNotFoundError, match="does not exist"):
-        Network(tmp_path / "none.pt")
-    for name in ("broken.pt", "broken.onnx"):
-        (tmp_path / name).write_bytes(b"not a network")
-        with pytest.raises(ValueError, match="cannot be loaded"):
-            Network(tmp_path / name)
-    (tmp_path / "net.bin").write_bytes(b"")
-    with pytest.raises(ValueError, match="unknown extension"):
-        Network(tmp_path / "net.bin")
-    network = Network(red_network)
-    network._net = lambda batch: 1 / 0
-    with pytest.raises(ValueError, match="fails on an input"):
-        network(np.zeros((3, 8, 8), np.float32))
 
 
 def test_without_mujoco_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:

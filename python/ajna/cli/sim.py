@@ -15,6 +15,7 @@ from ajna.cli.options import JsonOption, parse_size
 
 if TYPE_CHECKING:
     from ajna.sim.episode import EpisodeResult
+    from ajna.sim.trials import Speed
 
 #: The experiments of `ajna.sim.benchmark`, named here because importing it takes MuJoCo.
 EXPERIMENTS = ("dodge", "gap", "forest", "indoor-forest", "boxes", "pile")
@@ -48,7 +49,7 @@ def sim(
     from ajna.cli.outputs import check_folder
     from ajna.sim.methods import make_method
     from ajna.sim.statistics import summarize
-    from ajna.sim.trials import TrialPlan, run_trials, write_json
+    from ajna.sim.trials import Speed, TrialPlan, run_trials, write_json
     from ajna.sim.worlds import make_world
 
     check_folder(out)
@@ -56,14 +57,17 @@ def sim(
     plan = TrialPlan(world, method, trials, seed, out, weights, (size[1], size[0]) if size else None, video)
     _check(plan, make_method(method, weights))
     with _progress(f"{world}, {method}", trials) as advance:
-        results = run_trials(plan, workers, advance)
-    record = summarize(results)
+        speed = Speed()
+        results = run_trials(plan, workers, advance, speed)
+    record = {**summarize(results), "speed": speed.to_json()}
     write_json(plan.folder / "summary.json", record)
     _write_plan_view(plan.folder / "paths.png", make_world(world, seed), method, results)
     if as_json:
         typer.echo(json.dumps(record))
     else:
         typer.echo(_sentence(record))
+        if speed.frames_per_s is not None:
+            typer.echo(_pace(speed))
         typer.echo(f"wrote {plan.folder}")
 
 
@@ -112,7 +116,7 @@ def _sentence(record: dict[str, Any]) -> str:
     parts = [f"{record['world']}, {record['method']}: success {_percent(record, 'success_rate')}"]
     parts[0] += f" of {record['trials']} trials"
     if record["mean_speed_m_s"] is not None and record["mean_speed_m_s"] > 0:
-        parts.append(f"{record['mean_speed_m_s']:.1f} m/s")
+        parts.append(f"{record['cruise_speed_m_s']:.1f} m/s")
     if record["path_increase_percent"] is not None:
         parts.append(f"path {record['path_increase_percent']:+.1f} %")
     if record["safe_point_error_px"] is not None:
@@ -122,6 +126,12 @@ def _sentence(record: dict[str, Any]) -> str:
     if record["run_time_ms"] is not None:
         parts.append(f"{record['run_time_ms']:.1f} ms a frame")
     return ", ".join(parts)
+
+
+def _pace(speed: Speed) -> str:
+    """How fast was flown, on one line."""
+    workers = f"{speed.workers} worker{'s' if speed.workers > 1 else ''}"
+    return f"{speed.frames} frames in {speed.seconds:.1f} s: {speed.frames_per_s:.1f} frames/s with {workers}"
 
 
 def _write_plan_view(path: Path, world: Any, method: str, results: list[EpisodeResult]) -> None:
@@ -141,6 +151,7 @@ def add_benchmarks(group: typer.Typer) -> None:
     """Add one command per experiment to `ajna bench`."""
     for experiment in EXPERIMENTS:
         group.command(name=experiment)(_benchmark(experiment))
+    group.command(name="report")(report)
 
 
 def _benchmark(experiment: str) -> Callable[..., None]:
@@ -185,7 +196,7 @@ def run_benchmark(
     from ajna.cli.outputs import check_folder
     from ajna.sim.benchmark import as_markdown, rows_of
     from ajna.sim.statistics import summarize
-    from ajna.sim.trials import TrialPlan, run_trials, write_json
+    from ajna.sim.trials import Speed, TrialPlan, run_trials, write_json
 
     check_folder(out)
     files = _weights(weights or [])
@@ -197,13 +208,38 @@ def run_benchmark(
         if row.method is None or (row.needs_weights and row.method not in files):
             continue
         plan = TrialPlan(experiment, row.method, trials, seed, out, files.get(row.method))
+        speed = Speed()
         with _progress(f"{experiment}, {row.method}", trials) as advance:
-            row.measured = summarize(run_trials(plan, workers, advance))
+            results = run_trials(plan, workers, advance, speed)
+        row.measured = {**summarize(results), "speed": speed.to_json()}
+        if speed.frames_per_s is not None:
+            typer.echo(f"{experiment}, {row.method}: {_pace(speed)}", err=True)
     records = [row.to_json() for row in rows]
     write_json(out / f"bench_{experiment}.json", {"experiment": experiment, "seed": seed, "rows": records})
     table = as_markdown(experiment, rows)
     (out / f"bench_{experiment}.md").write_text(table + "\n", encoding="utf-8")
     typer.echo(json.dumps(records) if as_json else table)
+
+
+def report(
+    out: Annotated[Path, typer.Option(help="Folder of the trials, as given to `ajna bench WORLD`.")],
+    markdown: Annotated[
+        Path, typer.Option(help="Page to write the tables into; the rest of it stays. A JSON file comes beside it.")
+    ],
+) -> None:
+    """All tables from the trials that lie in a folder, whatever their number; flies nothing.
+
+    The tables go between two marks in the page (appended where it has none); each row says how many trials it has.
+
+    Example: ajna bench report --out flights --markdown docs/results.md
+    """
+    from ajna.sim.report import write_report
+
+    tables = write_report(out, markdown)
+    rows = [row for table in tables.values() for row in table if row.measured is not None]
+    trials = sum(row.measured["trials"] for row in rows if row.measured is not None)
+    typer.echo(f"{len(rows)} rows of {trials} trials")
+    typer.echo(f"wrote {markdown} and {markdown.with_suffix('.json')}")
 
 
 def _weights(pairs: list[str]) -> dict[str, Path]:

@@ -184,9 +184,13 @@ def _measured(record: dict[str, Any] | None, key: str, scale: float = 1.0) -> st
 
 
 def as_markdown(experiment: str, rows: Sequence[Row]) -> str:
-    """A Markdown table: each figure as the paper prints it, then ours with its 95 % interval."""
+    """A Markdown table: each figure as the paper prints it, then ours with its 95 % interval.
+
+    Of columns that the paper leaves empty for the whole table only ours are shown.
+    """
     columns = [("success %", "success_rate", 100.0)]
     if task_of(experiment) == "navigate":
+        columns.append(("speed m/s", "cruise_speed_m_s", 1.0))
         columns += [
             ("path increase %", "path_increase_percent", 1.0),
             ("safe point error px", "safe_point_error_px", 1.0),
@@ -194,15 +198,17 @@ def as_markdown(experiment: str, rows: Sequence[Row]) -> str:
     else:
         columns.append(("detection %", "detection_rate", 100.0))
     columns.append(("run time ms", "run_time_ms", 1.0))
+    printed = {key for _, key, _ in columns for row in EXPERIMENTS[experiment] if getattr(row, key, None) is not None}
     head = ["method", "trials"]
-    for title, _, _ in columns:
-        head += [f"{title}, paper", f"{title}, ours"]
+    for title, key, _ in columns:
+        head += [f"{title}, paper", f"{title}, ours"] if key in printed else [f"{title}, ours"]
     head += ["GFLOP, paper", "M parameters, paper"]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for row in rows:
         cells = [row.paper.title, row.note if row.measured is None else str(row.measured["trials"])]
         for _, key, scale in columns:
-            cells += [_number(getattr(row.paper, key, None)), _measured(row.measured, key, scale)]
+            cells += [_number(getattr(row.paper, key))] if key in printed else []
+            cells.append(_measured(row.measured, key, scale))
         cells += [_number(row.paper.gflops), _number(row.paper.mparameters, 2)]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)

@@ -106,6 +106,7 @@ class Frame:
         self.time_s = time_s
         self.seed = seed
         self.camera = renderer.camera
+        self._right: dict[float, RgbImage] = {}
 
     @property
     def qpos(self) -> NDArray[np.float64]:
@@ -153,7 +154,9 @@ class Frame:
 
     def right(self, baseline_m: float) -> RgbImage:
         """What a second camera delivers, ``baseline_m`` to the right, RGB uint8 [H, W, 3]."""
-        return self._sensed(baseline_m)
+        if baseline_m not in self._right:
+            self._right[baseline_m] = self._sensed(baseline_m)
+        return self._right[baseline_m]
 
     def _sensed(self, baseline_m: float | None) -> RgbImage:
         blurred = np.mean([self._renderer.color(state, baseline_m or 0.0) for state in self._states], axis=0)

@@ -36,6 +36,8 @@ class EpisodeResult:
     safe_point_error_px: mean distance of the method's point from the one that true depth gives on the same frame.
     decided_s: time of the frame on which the method first acted on a detection; None: it never did.
     best_iou: the largest on any frame from then on.
+    run_time_ms: median per frame of the method's processor time, all threads together, pictures not counted.
+    cpu_s: processor time of the trial, physics, pictures, method and judge together (without making the world).
     path: (t, x, y, z) once a frame.
     """
 
@@ -56,6 +58,7 @@ class EpisodeResult:
     run_time_ms: float | None = None
     decided_s: float | None = None
     best_iou: float | None = None
+    cpu_s: float | None = None
     path: list[tuple[float, ...]] = field(default_factory=list)
 
     def to_json(self) -> dict[str, Any]:
@@ -97,6 +100,8 @@ def _prepare(frame: Frame, method: Method) -> None:
     """Render what the method needs, so that its run time is its own."""
     if "rgb" in method.needs:
         _ = frame.rgb
+    if "right" in method.needs:
+        frame.right(method.baseline_m)  # type: ignore[attr-defined]  # what needs a second camera says where it sits
     if "depth" in method.needs:
         _ = frame.body
 
@@ -125,7 +130,7 @@ def run_episode(
     method: Method | str,
     renderer: Renderer | None = None,
     watch: Watcher | None = None,
-    reference: bool | None = None,
+    reference: bool | EpisodeResult | None = None,
 ) -> EpisodeResult:
     """Fly one trial.
 
@@ -134,8 +139,8 @@ def run_episode(
         method: a method, or the name of one that needs no weights.
         renderer: of the world's model, where one is at hand; otherwise one is made and closed.
         watch: called with every observation and the answer to it, for videos.
-        reference: whether true depth flies the same world, too, to compare the paths (navigation only); by default
-            for every method but true depth.
+        reference: whether true depth flies the same world, too, to compare the paths (navigation only), or its trial
+            in this world where it has flown already; by default it flies for every method but true depth.
 
     Raises:
         ValueError: the method does not do the world's task; NoRenderingError: nothing can be rendered here.
@@ -149,7 +154,7 @@ def run_episode(
         if reference is None:
             reference = world.task == "navigate" and flown.name != "depth"
         if reference and world.task == "navigate":
-            truth = _fly(world, make_method("depth"), own, None)
+            truth = reference if isinstance(reference, EpisodeResult) else _fly(world, make_method("depth"), own, None)
             result.reference_path_length_m = truth.path_length_m if truth.success else None
         return result
     finally:
@@ -158,6 +163,7 @@ def run_episode(
 
 
 def _fly(world: World, method: Method, renderer: Renderer, watch: Watcher | None) -> EpisodeResult:
+    begin = time.process_time()
     flight = Flight(world, renderer, world.seed)
     method.reset(_setup_for(world))
     judge = make_method("depth") if world.task == "navigate" and method.name != "depth" else None
@@ -173,9 +179,9 @@ def _fly(world: World, method: Method, renderer: Renderer, watch: Watcher | None
         frame = flight.advance(command)
         observation = flight.observe(frame)
         _prepare(frame, method)
-        start = time.perf_counter()
+        start = time.process_time()
         output = method(observation)
-        elapsed = time.perf_counter() - start
+        elapsed = time.process_time() - start
         if output.planned:
             run_times.append(elapsed)
         command = output.command
@@ -212,6 +218,7 @@ def _fly(world: World, method: Method, renderer: Renderer, watch: Watcher | None
         run_time_ms=1e3 * float(np.median(run_times)) if run_times else None,
         decided_s=decided_s,
         best_iou=best_iou,
+        cpu_s=time.process_time() - begin,
         path=[tuple(round(v, 4) for v in point) for point in flight.path],
     )
 
@@ -219,6 +226,7 @@ def _fly(world: World, method: Method, renderer: Renderer, watch: Watcher | None
 def _look(world: World, method: Method, renderer: Renderer, watch: Watcher | None) -> EpisodeResult:
     """The two views of a pile; the mask counts on the second one."""
     assert isinstance(world.setup, PileSetup)
+    begin = time.process_time()
     flight = Flight(world, renderer, world.seed)
     method.reset(_setup_for(world))
     run_time, iou = 0.0, 0.0
@@ -226,9 +234,9 @@ def _look(world: World, method: Method, renderer: Renderer, watch: Watcher | Non
         frame = flight.at_rest(view, index)
         observation = flight.observe(frame)
         _prepare(frame, method)
-        start = time.perf_counter()
+        start = time.process_time()
         output = method(observation)
-        run_time = time.perf_counter() - start
+        run_time = time.process_time() - start
         truth = true_mask(world, frame)
         iou = 0.0 if output.mask is None or truth is None else intersection_over_union(output.mask, truth)
         if watch is not None:
@@ -248,6 +256,7 @@ def _look(world: World, method: Method, renderer: Renderer, watch: Watcher | Non
         mean_speed_m_s=0.0,
         detection_iou=iou,
         run_time_ms=1e3 * run_time,
+        cpu_s=time.process_time() - begin,
     )
 
 

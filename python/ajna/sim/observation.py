@@ -82,7 +82,10 @@ class Output:
 
 
 class Method(Protocol):
-    """Frames in; mask, point and command out. ``needs`` names the pictures to render before the clock starts."""
+    """Frames in; mask, point and command out. ``needs`` names the pictures to render before the clock starts.
+
+    What needs "right" has ``baseline_m``, how far to the right the second camera sits.
+    """
 
     name: str
     needs: frozenset[str]  # of "rgb", "right", "depth"

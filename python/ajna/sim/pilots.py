@@ -31,24 +31,35 @@ def _climb(observation: Observation) -> float:
 class NavigatePilot:
     """Flies towards the goal where the depth map is free.
 
-    Every image column gives its nearest point at the height of flight. Over a fan of directions the free length of a
-    corridor as wide as the vehicle is measured; the direction is chosen that is long, wide, and near the goal's.
-    Points seen in the last second still count when they have left the picture.
+    Every image column gives its nearest point at the height of flight; points seen in the last two seconds still count
+    when they have left the picture. A fan of velocity commands is tried out on a simple model of the vehicle, which
+    follows them with a lag and a limited acceleration, and the way that each gives is held against the points. Of those
+    that leave time to stop, the one is flown that comes nearest to the goal, with room to spare.
     """
 
     HORIZON_M = 9.0
     BAND_M = 0.30  # of heights around the vehicle that can be hit
-    MEMORY_FRAMES = 24
-    BRAKE_M_S2 = 4.0
+    MEMORY_FRAMES, MEMORY_M, CELL_M = 60, 5.0, 0.15
+    STEP_S, STEPS = 0.08, 22  # of the ways tried out
+    GAIN_PER_S, LAG_S, LIMIT_M_S2 = 4.0, 0.12, 6.5  # how the vehicle follows a velocity command
+    STOP_M_S2, STOP_LAG_S = 4.0, 0.35  # what is counted on for braking
+    SPEEDS = (1.0, 0.6, 0.25)  # tried out, shares of the speed to fly
 
     def __init__(self, setup: TaskSetup) -> None:
         self._setup = setup
-        self._fan = np.deg2rad(np.linspace(-40, 40, 81))
+        fan = np.deg2rad(np.linspace(-45, 45, 31))
+        self._angles = np.tile(fan, len(self.SPEEDS))
+        self._speeds = np.repeat(np.array(self.SPEEDS) * setup.speed_m_s, len(fan))
+        self._commands = self._speeds[:, None] * np.stack([np.cos(self._angles), np.sin(self._angles)], 1)
         self._memory: deque[Floats] = deque(maxlen=self.MEMORY_FRAMES)
         self._last = 0.0
+        self._turn = 0.0
 
-    def _points(self, depth: NDArray[np.floating], observation: Observation) -> Floats:
-        """The nearest point of each second column at the height of flight, (forward, right) in the heading frame."""
+    def _points(self, depth: NDArray[np.floating], observation: Observation) -> tuple[Floats, Mask]:
+        """The nearest point of each second column at the height of flight, (forward, right) in the heading frame.
+
+        With it what there is at the height of flight, at half the size.
+        """
         z = np.asarray(depth[::2, ::2], dtype=np.float64)
         rays = observation.frame.camera.rays[::2, ::2]
         finite = np.isfinite(z) & (z < self.HORIZON_M * 1.5)
@@ -57,48 +68,84 @@ class NavigatePilot:
         distance = np.where(hit, np.hypot(points[..., 0], points[..., 1]), np.inf)
         row = distance.argmin(axis=0)
         columns = np.arange(z.shape[1])
-        return points[row, columns, :2][np.isfinite(distance[row, columns])]
+        return points[row, columns, :2][np.isfinite(distance[row, columns])], hit
 
     def _remembered(self, points: Floats, observation: Observation) -> Floats:
-        """The points with those of the last frames, carried along by the odometry."""
+        """The points with those of the last frames, carried along by the odometry; one for each small cell."""
         c, s = np.cos(observation.yaw_rad), np.sin(observation.yaw_rad)
         to_world = np.array([[c, s], [s, -c]])  # (forward, right) -> (x, y left); its own inverse
         here = observation.displacement_m[:2]
-        near = points[np.hypot(points[:, 0], points[:, 1]) < 4.0]
-        old = [(world - here) @ to_world for world in self._memory]
+        near = points[np.hypot(points[:, 0], points[:, 1]) < self.MEMORY_M]
+        old = np.concatenate([np.empty((0, 2)), *self._memory])
         self._memory.append(near @ to_world + here)
-        return np.concatenate([points, *old]) if old else points
+        old = (old - here) @ to_world
+        every = np.concatenate([points, old[np.hypot(old[:, 0], old[:, 1]) < self.MEMORY_M]])
+        _, first = np.unique(np.floor(every / self.CELL_M).astype(np.int64), axis=0, return_index=True)
+        return every[first]
 
-    def _free(self, points: Floats, clearance: float) -> Floats:
-        """How far each direction of the fan is free of points within ``clearance`` of its line, metres."""
-        direction = np.stack([np.cos(self._fan), np.sin(self._fan)], 1)
-        along = direction @ points.T
-        across = np.abs(direction[:, :1] * points[:, 1] - direction[:, 1:] * points[:, 0])
-        blocked = np.where((across < clearance) & (along > -0.2), np.maximum(along, 0.0), np.inf)
-        return np.minimum(blocked.min(axis=1, initial=np.inf), self.HORIZON_M)
+    def _ways(self, velocity: Floats) -> Floats:
+        """Where each command leads, (forward, right) at each step [C, STEPS, 2]."""
+        speed = np.tile(velocity, (len(self._commands), 1))
+        acceleration, place = np.zeros_like(speed), np.zeros_like(speed)
+        ways = np.empty((len(speed), self.STEPS, 2))
+        for step in range(self.STEPS):
+            wanted = self.GAIN_PER_S * (self._commands - speed)
+            wanted *= np.minimum(1.0, self.LIMIT_M_S2 / np.maximum(np.hypot(*wanted.T), 1e-9))[:, None]
+            acceleration += (wanted - acceleration) * min(1.0, self.STEP_S / self.LAG_S)
+            speed = speed + acceleration * self.STEP_S
+            place = place + speed * self.STEP_S
+            ways[:, step] = place
+        return ways
+
+    def _room(self, ways: Floats, points: Floats) -> Floats:
+        """The distance from each place on the ways to the nearest point [C, STEPS]."""
+        reach = float(np.abs(ways).max()) + 1.0
+        forward, right = points[(np.abs(points) < reach).all(axis=1)].T.astype(np.float32)
+        along, across = ways.astype(np.float32)[..., None, :].transpose(3, 0, 1, 2)
+        square = np.square(along - forward) + np.square(across - right)
+        return np.sqrt(square.min(axis=2, initial=np.inf))
 
     def __call__(self, depth: NDArray[np.floating], observation: Observation) -> Output:
         """``depth``: metres [H, W], infinite or NaN where nothing is known to be."""
         setup = self._setup
-        points = self._remembered(self._points(depth, observation), observation)
+        seen, hit = self._points(depth, observation)
+        points = self._remembered(seen, observation)
+        ways = self._ways(observation.velocity_m_s[:2])
+        room = self._room(ways, points)
+        # Half the diagonal over the rotors, and a hand's width; where something is nearer already, not nearer still.
         tight = setup.half_width_m * 1.3 + 0.12
-        narrow, wide = self._free(points, tight), self._free(points, tight + 0.3)
+        here = float(np.hypot(points[:, 0], points[:, 1]).min(initial=np.inf))
+        blocked = room < min(tight, 0.95 * here)
+        free = np.where(blocked.any(axis=1), blocked.argmax(axis=1), self.STEPS)  # steps
+        until = np.maximum(free - 1, 0)
         goal = float(np.clip(np.arctan2(observation.goal_m[1], observation.goal_m[0]), -1.2, 1.2))
+        reached = ways[np.arange(len(ways)), until] @ np.array([np.cos(goal), np.sin(goal)])
+        least = np.minimum.accumulate(room, axis=1)[np.arange(len(ways)), until]
         score = (
-            narrow / self.HORIZON_M
-            + 0.35 * wide / self.HORIZON_M
-            - 0.45 * np.abs(self._fan - goal)
-            - 0.12 * np.abs(self._fan - self._last)
+            reached / (setup.speed_m_s * self.STEP_S * self.STEPS)
+            + 0.3 * np.clip((least - tight) / 0.5, 0.0, 1.0)
+            + 0.3 * free / self.STEPS
+            - 0.12 * np.abs(self._angles - self._last)
         )
-        best = int(score.argmax())
-        angle, free = float(self._fan[best]), float(narrow[best])
+        stops = np.minimum(self._speeds / self.STOP_M_S2 + self.STOP_LAG_S, self.STEPS * self.STEP_S)
+        admissible = free * self.STEP_S >= stops
+        forward, right = 0.0, 0.0
+        if admissible.any():
+            best = int(np.where(admissible, score, -np.inf).argmax())
+            angle = float(self._angles[best])
+            forward, right = map(float, self._commands[best])
+            self._turn = 0.0
+            yaw_rate = 2.5 * angle
+        else:
+            # Stops and turns, always the same way, until something opens.
+            best = int(free.argmax())
+            angle = float(self._angles[best])
+            self._turn = self._turn or (1.0 if angle >= 0 else -1.0)
+            yaw_rate = 1.2 * self._turn
         self._last = angle
-        speed = min(setup.speed_m_s, float(np.sqrt(2 * self.BRAKE_M_S2 * max(free - 0.3, 0.0))))
-        # Points the nose at the way it goes; where all is blocked, turns until something opens.
-        yaw_rate = 2.5 * angle if free > 0.8 else 1.2 * (1.0 if angle >= 0 else -1.0)
-        command = Command((speed * np.cos(angle), speed * np.sin(angle), _climb(observation)), yaw_rate)
-        near = np.isfinite(depth) & (depth < free)
-        return Output(near, observation.pixel(np.array([np.cos(angle), np.sin(angle), 0.0])), command)
+        near = hit.repeat(2, axis=0).repeat(2, axis=1)[: depth.shape[0], : depth.shape[1]]
+        point = observation.pixel(np.array([np.cos(angle), np.sin(angle), 0.0]))
+        return Output(near, point, Command((forward, right, _climb(observation)), yaw_rate))
 
 
 class GapPilot:

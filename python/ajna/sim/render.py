@@ -117,9 +117,15 @@ class Renderer:
         self._draw(self._view, self._option, rect)
         large = np.empty((height * scale, width * scale, 3), np.uint8)
         mujoco.mjr_readPixels(large, None, rect, self._context)
-        rows = large.reshape(height, scale, width * scale, 3).sum(axis=1, dtype=np.uint16)
-        total = rows.reshape(height, width, scale, 3).sum(axis=2, dtype=np.uint16)
-        return total[::-1].astype(np.float32) / (scale * scale)
+        # Sums of slices: several times as fast as sums over an axis, and this runs for every picture.
+        rows = large[::scale].astype(np.uint16)
+        for offset in range(1, scale):
+            rows += large[offset::scale]
+        cells = rows.reshape(height, width, 3 * scale)
+        total = cells[..., :3].copy()
+        for offset in range(1, scale):
+            total += cells[..., 3 * offset : 3 * offset + 3]
+        return total[::-1].astype(np.float32) / np.float32(scale * scale)
 
     def depth_and_geom(self, qpos: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
         """Depth in metres float32 [H, W] (infinite in the sky) and the geom's number int32 [H, W] (-1 in the sky)."""

@@ -20,13 +20,23 @@ def _entry(record: dict[str, Any], key: str, values: Sequence[float | None], sca
     record[f"{key}_ci"] = list(bootstrap_interval(known)) if known else None
 
 
+def _median_speed(result: EpisodeResult) -> float | None:
+    path = np.array(result.path, dtype=np.float64)
+    if len(path) < 2:
+        return None
+    steps = np.diff(path, axis=0)
+    return float(np.median(np.linalg.norm(steps[:, 1:], axis=1) / steps[:, 0]))
+
+
 def summarize(results: Sequence[EpisodeResult]) -> dict[str, Any]:
     """The figures of one method in one world; each rate and mean has its 95 % interval beside it under ``..._ci``.
 
-    success_rate: in [0, 1]. mean_speed_m_s: over successful trials. path_increase_percent: over trials in which both
+    success_rate: in [0, 1]. mean_speed_m_s: over successful trials, run-up and
+    all; cruise_speed_m_s: likewise of their median speed. path_increase_percent: over trials in which both
     the method and true depth reached the goal. detection_rate: share of trials with IoU >= 0.5 on the frame that was
     acted on; detection_rate_best: on any frame from then on.
     safe_point_error_px: mean over trials of their mean. run_time_ms: median over trials (its interval, too).
+    frames_per_cpu_s: frames over the processor time of their trials, pictures, physics, method and judge together.
 
     Raises:
         ValueError: for no results.
@@ -53,6 +63,12 @@ def summarize(results: Sequence[EpisodeResult]) -> dict[str, Any]:
     record["run_time_ms_ci"] = (
         list(bootstrap_interval(times, statistic=lambda s: np.median(s, axis=-1))) if times else None
     )
+    # Where the vehicle is under way: half of the time it is faster than this.
+    speeds = [_median_speed(result) for result in results if result.success]
+    _entry(record, "cruise_speed_m_s", speeds)
+    timed = [(result.frames, result.cpu_s) for result in results if result.cpu_s]
+    seconds = sum(cpu_s for _, cpu_s in timed)
+    record["frames_per_cpu_s"] = sum(frames for frames, _ in timed) / seconds if seconds else None
     reasons = sorted({result.reason for result in results})
     record["outcomes"] = {reason: sum(result.reason == reason for result in results) for reason in reasons}
     return record

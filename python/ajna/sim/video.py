@@ -21,16 +21,24 @@ RgbImage = NDArray[np.uint8]
 _VIEWS = {
     "navigate": (3.2, 0.0, -22.0),
     "gap": (2.6, 35.0, -20.0),
-    "dodge": (4.5, 35.0, -15.0),
+    "dodge": (2.4, 25.0, -12.0),
     "pile": (1.1, 30.0, -40.0),
 }
+_ORANGE = np.array([255, 140, 0], np.float32)
 
 
 def overlay(rgb: RgbImage, output: Output) -> RgbImage:
-    """The picture with the mask in orange and the point as a green cross."""
+    """The picture with the mask tinted and outlined in orange and the point as a green cross."""
     blended = rgb.astype(np.float32)
     if output.mask is not None:
-        blended[output.mask] = 0.55 * blended[output.mask] + 0.45 * np.array([255, 140, 0], np.float32)
+        mask = output.mask
+        inner = mask.copy()
+        inner[1:] &= mask[:-1]
+        inner[:-1] &= mask[1:]
+        inner[:, 1:] &= mask[:, :-1]
+        inner[:, :-1] &= mask[:, 1:]
+        blended[mask] = 0.75 * blended[mask] + 0.25 * _ORANGE
+        blended[mask & ~inner] = _ORANGE
     picture = np.rint(blended).astype(np.uint8)
     if output.point_px is not None:
         height, width = picture.shape[:2]
@@ -68,5 +76,8 @@ class EpisodeVideo:
         distance, azimuth, elevation = _VIEWS[self._world.task]
         frame = observation.frame
         target = frame.qpos[:3] + np.array([0.3, 0, 0]) if self._world.task != "pile" else np.zeros(3)
+        # Not through the wall behind the start.
+        level = np.cos(np.deg2rad(azimuth)) * np.cos(np.deg2rad(elevation))
+        distance = min(distance, float(target[0] - self._world.bounds[0] - 0.15) / float(level))
         outside = self.renderer.outside(frame.qpos, target, distance, azimuth, elevation, (camera.width, camera.height))
         self._writer.write(np.concatenate([overlay(frame.rgb, output), outside], axis=1))

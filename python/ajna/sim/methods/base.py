@@ -58,6 +58,11 @@ class PilotedMethod:
         self._task = setup.task
         self._navigate, self._gap, self._dodge = NavigatePilot(setup), GapPilot(setup), DodgePilot(setup)
 
+    @property
+    def baseline_m(self) -> float:
+        """Of the second camera; for perceptions that need one."""
+        return float(self._perception.baseline_m)  # type: ignore[attr-defined]
+
     def __call__(self, observation: Observation) -> Output:
         perception = self._perception
         if self._task == "navigate":

@@ -34,9 +34,9 @@ class TrueDepthSensor:
 class D435iSensor:
     """True depth with the faults of an active stereo camera.
 
-    Range 0.3 to 10 m; noise that grows with the square of the distance (stereo with 50 mm baseline and 0.08 px
-    matching error at this image's focal length); holes where depth jumps and, at random, in patches; things that move
-    by themselves are seen where they were one frame ago.
+    Range 0.3 to 10 m; noise of the disparity, hence one that grows with the square of the distance (stereo with 50 mm
+    baseline and 0.08 px matching error at this image's focal length); holes where depth jumps and, at random, in
+    patches; things that move by themselves are seen where they were one frame ago.
     """
 
     needs = frozenset({"depth"})
@@ -65,8 +65,10 @@ class D435iSensor:
             inverse = np.where(np.isfinite(depth), 1 / depth, 0.0).astype(np.float32)
             kernel = np.ones((3, 3), np.uint8)
             edge = cv2.dilate(inverse, kernel) > cv2.erode(inverse, kernel) * (1 + self.JUMP) + 0.01
-            sigma = depth**2 * self.MATCH_ERROR_PX / (frame.camera.focal_px * self.BASELINE_M)
-            noisy = depth + np.where(np.isfinite(depth), sigma, 0) * self._random.standard_normal(depth.shape)
+            # Of the disparity: noise on the depth itself would bring some of the far background within range.
+            sigma = self.MATCH_ERROR_PX / (frame.camera.focal_px * self.BASELINE_M)
+            measured = inverse + sigma * self._random.standard_normal(depth.shape)
+            noisy = np.where(measured > 0, 1 / measured, np.inf)
         low, high = self.RANGE_M
         coarse = self._random.random((depth.shape[0] // 16 + 1, depth.shape[1] // 16 + 1), dtype=np.float32)
         patchy = cv2.resize(coarse, depth.shape[::-1], interpolation=cv2.INTER_CUBIC) > 0.985
@@ -125,6 +127,11 @@ class DepthPerception:
         self._task = setup.task
         self._background: Depth | None = None
 
+    @property
+    def baseline_m(self) -> float:
+        """Of a stereo sensor's second camera."""
+        return float(self._sensor.baseline_m)
+
     def depth(self, observation: Observation) -> Depth:
         return self._sensor(observation)
 
@@ -172,7 +179,8 @@ class DepthPerception:
             with np.errstate(divide="ignore", invalid="ignore"):
                 height = np.where(known, 1 / (rays @ plane) - depth, 0.0)
             spread = 1.4826 * np.median(np.abs(height[use]))
-            limit = max(self.OUT_OF_PLANE_M, 3 * float(spread) if self._sensor.noise else 0.0)
+            # The first fits are tilted by what lies on the table; without noise the spread then vanishes.
+            limit = max(self.OUT_OF_PLANE_M, 3 * float(spread))
             above = known & (height > limit)
             use = known & (np.abs(height) < limit)
             if use.sum() < 100:

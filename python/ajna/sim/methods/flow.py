@@ -33,6 +33,8 @@ def derotated(flow: NDArray[np.floating], first: Observation, second: Observatio
 class OcclusionMask:
     """Pixels whose forward and backward flow disagree: hidden or uncovered between two frames.
 
+    Pixels that come from outside of the other frame disagree as well, without being occluded: they do not count.
+
     Args:
         flow: name of a baseline, or any flow method whose ``uncertainty`` is that disagreement.
     """
@@ -40,6 +42,7 @@ class OcclusionMask:
     tasks = frozenset({"navigate", "gap", "dodge", "pile"})
     needs = frozenset({"rgb"})
     RELATIVE, ABSOLUTE_PX = 0.05, 0.7  # disagreement that counts: a share of the flow, plus pixels
+    BORDER_PX = 4
 
     def __init__(self, flow: str | FlowMethod = "dis") -> None:
         self._flow = make_baseline(flow) if isinstance(flow, str) else flow
@@ -57,7 +60,15 @@ class OcclusionMask:
         # From the new frame to the old one, so that the mask lies on the new frame.
         field = self._flow(self._previous, previous)
         size = np.linalg.norm(field.flow, axis=2)
-        return np.linalg.norm(field.uncertainty, axis=2) > self.ABSOLUTE_PX + self.RELATIVE * size
+        disagrees = np.linalg.norm(field.uncertainty, axis=2) > self.ABSOLUTE_PX + self.RELATIVE * size
+        height, width = size.shape
+        x = np.arange(width) + field.flow[..., 0]
+        y = np.arange(height)[:, None] + field.flow[..., 1]
+        # Near the border, too, half a patch of the flow has no counterpart.
+        edge = self.BORDER_PX
+        inside = (x >= edge) & (y >= edge) & (x <= width - 1 - edge) & (y <= height - 1 - edge)
+        inside[:edge], inside[-edge:], inside[:, :edge], inside[:, -edge:] = False, False, False, False
+        return disagrees & inside
 
     def depth(self, observation: Observation) -> Map:
         occluded = self._occluded(observation)

@@ -59,9 +59,9 @@ def forest(seed: int, camera: CameraModel, vehicle: VehicleConfig) -> World:
     random, bank = scene.random, scene.surfaces
     scene.sky()
     scene.light((0.4, 0.5, -0.8))
-    scene.ground(scene.material(bank.surface("ground"), repeat=0.35))
+    scene.ground(scene.material(bank.surface("ground"), repeat=0.35), half_size_m=90.0)
 
-    # Far trees: a round curtain seen from inside.
+    # Far trees: a round curtain seen from inside; the ground reaches beyond it.
     angle = np.linspace(0, -2 * np.pi, 49)
     ring = np.stack([20 + 55 * np.cos(angle), 55 * np.sin(angle)], 1)
     vertices = np.concatenate([np.c_[ring, np.full(49, -0.5)], np.c_[ring, 6 + random.uniform(0, 5, 49)]])
