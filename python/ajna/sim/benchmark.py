@@ -34,6 +34,7 @@ _OURS = (
     PaperRow("ajna-8hz", "Ajna, planning at 8 Hz"),
     PaperRow("ajna-true-flow", "Ajna on true flow (upper bound)"),
     PaperRow("ajna-true-flow-8hz", "Ajna on true flow, planning at 8 Hz"),
+    PaperRow("flight", "Ajna, the flight program over MAVLink"),
 )
 _AJNA = {"run_time_ms": 10.1, "gflops": 6.3, "mparameters": 2.7}
 _OCCMASK = {"run_time_ms": 31.4, "gflops": 62.7, "mparameters": 20.6}
