@@ -150,7 +150,7 @@ def test_network_finds_the_gap() -> None:
 
 @needs_model
 def test_network_sets_out_through_the_forest_at_8_hz() -> None:
-    world = dataclasses.replace(make_world("forest", 1), time_limit_s=0.8)
+    world = dataclasses.replace(make_world("forest", 1), time_limit_s=1.1)
     seen = []
     result = run_episode(world, "ajna-8hz", watch=lambda _, output: seen.append(output), reference=False)
     assert result.reason == "time" and result.path[-1][1] - result.path[0][1] > 0.5
