@@ -159,6 +159,36 @@ def robustness(
         _print_robustness(result)
 
 
+@study.command("false-alarms")
+def false_alarms(
+    model: ModelOption = "best",
+    rooms: Annotated[int, typer.Option(min=1, help="Number of rooms.")] = 20,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first room; each next one has the next seed.")] = 0,
+    duration: Annotated[float, typer.Option(help="Seconds that each room is watched for.")] = 2.0,
+    as_json: JsonOption = False,
+) -> None:
+    """How often a hovering vehicle dodges nothing: simulated rooms without a throw, under steady and blinking light.
+
+    Example: ajna study false-alarms --rooms 20
+    """
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from ajna.sim.methods.signals import NetworkSignal
+    from ajna.studies import false_alarms as study_of
+
+    options = study_of.FalseAlarmOptions(rooms, seed, duration)
+    with Progress(console=Console(stderr=True)) as bar:
+        task = bar.add_task("rooms", total=1.0)
+        conditions = study_of.run(
+            NetworkSignal(model), options, progress=lambda share: bar.update(task, completed=share)
+        )
+    if as_json:
+        typer.echo(json.dumps([condition.record() for condition in conditions]))
+    else:
+        typer.echo(study_of.markdown(conditions, options))
+
+
 def _measure_robustness(model: str, device: str, options: Any, patch_steps: int, surrogate: Path | None) -> Any:
     import time
 
