@@ -119,6 +119,7 @@ void bind_horizon(py::module_& m) {
   AJNA_FIELD(remember_m);
   AJNA_FIELD(remember_s);
   AJNA_FIELD(remember_move_m);
+  AJNA_FIELD(stay_m);
   AJNA_FIELD(support);
   AJNA_FIELD(room_weight);
   AJNA_FIELD(goal_weight);

@@ -183,6 +183,7 @@ class CorridorOptions:
     remember_m: float
     remember_s: float
     remember_move_m: float
+    stay_m: float
     support: int
     room_weight: float
     goal_weight: float

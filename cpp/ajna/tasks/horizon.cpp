@@ -118,6 +118,7 @@ void validate(const CorridorOptions& options) {
   between(options.remember_m, 0.0, 1000.0, "corridor.remember_m");
   between(options.remember_s, 0.0, 10.0, "corridor.remember_s");
   between(options.remember_move_m, 0.0, 100.0, "corridor.remember_move_m");
+  between(options.stay_m, 0.0, 100.0, "corridor.stay_m");
   between(options.support, 1, 1000, "corridor.support");
   between(options.room_weight, 0.0, 10.0, "corridor.room_weight");
   between(options.goal_weight, 0.0, 10.0, "corridor.goal_weight");
@@ -158,8 +159,12 @@ Corridor CorridorPlanner::plan(const Obstacles& obstacles, double time_s, const 
                                double yaw_rad, double goal_rad) {
   Eigen::Matrix2d fixed_from_heading;
   fixed_from_heading << std::cos(yaw_rad), -std::sin(yaw_rad), std::sin(yaw_rad), std::cos(yaw_rad);
-  while (!memory_.empty() && (time_s - memory_.front().time_s > options_.remember_s ||
-                              (position_m - memory_.front().from_m).norm() > options_.remember_move_m)) {
+  const auto forgotten = [&](const Seen& seen) {
+    const double moved_m = (position_m - seen.from_m).norm();
+    return moved_m > options_.remember_move_m ||
+           (time_s - seen.time_s > options_.remember_s && moved_m > options_.stay_m);
+  };
+  while (!memory_.empty() && forgotten(memory_.front())) {
     memory_.pop_front();
   }
   Obstacles all = obstacles;

@@ -48,6 +48,7 @@ struct CorridorOptions {
   double remember_m = 4.0;       ///< nearer things count on after they have left the picture ...
   double remember_s = 3.0;       ///< ... for so long at most ...
   double remember_move_m = 3.0;  ///< ... and until the vehicle has moved so far
+  double stay_m = 0.5;           ///< a vehicle that has moved less forgets nothing: at rest it sees nothing new
   int support = 3;               ///< so many points must stand in a corridor to block it
   double room_weight = 0.35;     ///< of the wider corridor's length against the narrow one's, both over horizon_m
   double goal_weight = 0.4;      ///< of the angle to the goal, per radian
