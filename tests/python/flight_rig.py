@@ -123,7 +123,7 @@ class _Faulty(torch.nn.Module):
     @torch.jit.export
     def predict(self, frame1: torch.Tensor, frame2: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         flow, uncertainty, error = self.inner.predict(frame1, frame2)
-        mark = int(frame2[0, 0, 0, 0])
+        mark = int(frame1[0, 0, 0, 0])  # the newest frame: pairs go back in time
         if mark == 255:
             flow = flow * float("nan")
         if mark == 254:
