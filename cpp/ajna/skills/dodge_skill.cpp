@@ -37,16 +37,7 @@ class DodgeSkill final : public Skill {
   void remember(const SkillInput& input) override { memory_.add(snapshot_of(input)); }
 
   SkillOutput plan(const SkillInput& input) override {
-    Snapshot now = snapshot_of(input);
-    SkillOutput output;
-    try {
-      output = decide(now);
-    } catch (...) {  // whatever it is: the next frame is compared with this one, and the caller is told
-      memory_.add(std::move(now));
-      throw;
-    }
-    memory_.add(std::move(now));
-    return output;
+    return remembering(memory_, snapshot_of(input), [this](const Snapshot& now) { return decide(now); });
   }
 
  private:

@@ -4,6 +4,7 @@
 #include <deque>
 #include <memory>
 #include <optional>
+#include <utility>
 
 #include "ajna/skills/skill.hpp"
 
@@ -33,6 +34,20 @@ class Memory {
   double keep_s_;
   std::deque<Snapshot> frames_;
 };
+
+/// What `decide` makes of a frame. Whatever it throws, the frame is remembered, so that later ones have a pair.
+template <typename Decide>
+SkillOutput remembering(Memory& memory, Snapshot now, Decide decide) {
+  SkillOutput output;
+  try {
+    output = decide(now);
+  } catch (...) {  // passed on to the caller as it is
+    memory.add(std::move(now));
+    throw;
+  }
+  memory.add(std::move(now));
+  return output;
+}
 
 /// Heading frame to the axes that the pipelines call body: those of the camera (forward, right, down).
 Eigen::Vector3d camera_from_heading(const Attitude& attitude, const Eigen::Vector3d& direction);
