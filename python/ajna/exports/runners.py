@@ -7,6 +7,7 @@ format's memory holds that format's runtime alone.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -61,12 +62,12 @@ class TorchScriptRunner:
         return flow.numpy(), uncertainty.numpy(), error.numpy()
 
 
-class _GraphRunner:
+class _GraphRunner(ABC):
     """Files whose one function takes the network's input and gives OUTPUTS."""
 
+    @abstractmethod
     def outputs(self, x: Array) -> tuple[Array, ...]:
         """Network input float32 [N, 6, H, W] -> the arrays named OUTPUTS."""
-        raise NotImplementedError
 
     def raw(self, x: Array) -> Array:
         """See :class:`Runner`."""

@@ -32,7 +32,7 @@ class PaperRow:
 # What flies by the paper's pipelines, beside the paper's own row.
 _OURS = (
     PaperRow("ajna-8hz", "Ajna, planning at 8 Hz"),
-    PaperRow("ajna-true-flow", "Ajna on true flow (upper bound)"),
+    PaperRow("ajna-true-flow", "Ajna on true flow"),
     PaperRow("ajna-true-flow-8hz", "Ajna on true flow, planning at 8 Hz"),
     PaperRow("flight", "Ajna, the flight program over MAVLink"),
 )
