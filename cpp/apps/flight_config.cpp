@@ -174,6 +174,10 @@ void read_task(YamlSection section, FlightConfig& config) {
   dodge.read("min_contrast", skill.dodge.min_contrast);
   dodge.read("min_uncertainty", skill.dodge.min_uncertainty);
   dodge.read("confirm_frames", skill.dodge.confirm_frames);
+  dodge.read("confirm_s", skill.dodge.confirm_s);
+  dodge.read("pair_s", skill.dodge_pair_s);
+  dodge.read("use_background", skill.dodge.background.use);
+  dodge.read("min_rise", skill.dodge.background.min_rise);
   dodge.finish();
   YamlSection navigate = section.section("navigate");
   navigate.read("speed_m_s", skill.navigate_policy.speed_m_s);

@@ -164,6 +164,7 @@ void bind_options(py::module_& m) {
   AJNA_FIELD(navigate);
   AJNA_FIELD(navigate_policy);
   AJNA_FIELD(max_turn_rad_s);
+  AJNA_FIELD(dodge_pair_s);
   AJNA_FIELD(baseline_s);
   AJNA_FIELD(height_gain);
   AJNA_FIELD(largest_slope);

@@ -120,6 +120,21 @@ void bind_maps(py::module_& m) {
 }
 
 void bind_dodge(py::module_& m) {
+  py::class_<BackgroundOptions> background(m, "BackgroundOptions",
+                                           "Of what a camera at rest sees where nothing happens.");
+  background.def(py::init<>());
+#define AJNA_FIELD(name) background.def_readwrite(#name, &BackgroundOptions::name)
+  AJNA_FIELD(use);
+  AJNA_FIELD(smooth_px);
+  AJNA_FIELD(border_px);
+  AJNA_FIELD(learn_s);
+  AJNA_FIELD(absorb_s);
+  AJNA_FIELD(deviations);
+  AJNA_FIELD(min_rise);
+  AJNA_FIELD(noise_factor);
+  AJNA_FIELD(max_share);
+  AJNA_FIELD(max_turn_rad);
+#undef AJNA_FIELD
   py::class_<DodgeOptions> options(m, "DodgeOptions", "Of DodgePipeline.");
   options.def(py::init<>());
 #define AJNA_FIELD(name) options.def_readwrite(#name, &DodgeOptions::name)
@@ -127,9 +142,13 @@ void bind_dodge(py::module_& m) {
   AJNA_FIELD(min_contrast);
   AJNA_FIELD(min_uncertainty);
   AJNA_FIELD(convex);
+  AJNA_FIELD(background);
   AJNA_FIELD(confirm_frames);
+  AJNA_FIELD(confirm_s);
+  AJNA_FIELD(min_move);
   AJNA_FIELD(gate);
   AJNA_FIELD(max_gap_s);
+  AJNA_FIELD(max_miss_s);
   AJNA_FIELD(horizon_s);
   AJNA_FIELD(min_growth_per_s);
   AJNA_FIELD(vertical);

@@ -194,8 +194,24 @@ class CorridorOptions:
     stop_m: float
     def __init__(self) -> None: ...
 
+class BackgroundOptions:
+    use: bool
+    smooth_px: float
+    border_px: int
+    learn_s: float
+    absorb_s: float
+    deviations: float
+    min_rise: float
+    noise_factor: float
+    max_share: float
+    max_turn_rad: float
+    def __init__(self) -> None: ...
+
 class DodgeOptions:
+    background: BackgroundOptions
     confirm_frames: int
+    confirm_s: float
+    min_move: float
     convex: bool
     direct_hit: float
     gate: float
@@ -203,6 +219,7 @@ class DodgeOptions:
     horizontal_fov_rad: float
     map: MapOptions
     max_gap_s: float
+    max_miss_s: float
     min_contrast: float
     min_growth_per_s: float
     min_uncertainty: float
@@ -886,6 +903,7 @@ class SkillOptions:
     navigate: NavigateOptions
     navigate_policy: NavigatePolicyOptions
     max_turn_rad_s: float
+    dodge_pair_s: float
     baseline_s: float
     height_gain: float
     largest_slope: float

@@ -27,6 +27,7 @@ if not _core.with_vision:
 from ajna._core import (
     Alignment,
     AlignOptions,
+    BackgroundOptions,
     Camera,
     Command,
     CorridorOptions,
@@ -85,6 +86,7 @@ __all__ = [
     "SKILLS",
     "AlignOptions",
     "Alignment",
+    "BackgroundOptions",
     "Camera",
     "Command",
     "CorridorOptions",

@@ -64,7 +64,7 @@ class SkillTest : public ::testing::Test {
   }
 };
 
-TEST_F(SkillTest, DodgePairsGoBackToTheFrameBefore) {
+TEST_F(SkillTest, DodgePairsGoBackToAnOlderFrame) {
   const auto skill = make(Task::kDodge);
   const SkillOutput first = skill->plan(at(1.0));
   EXPECT_FALSE(first.valid);
@@ -75,11 +75,24 @@ TEST_F(SkillTest, DodgePairsGoBackToTheFrameBefore) {
   ASSERT_EQ(asked.size(), 2U);
   EXPECT_EQ(asked[0].first_s, 1.1);
   EXPECT_EQ(asked[0].second_s, 1.0);
-  EXPECT_EQ(asked[1].second_s, 1.17) << "a frame that was only remembered makes the pair shorter";
-  EXPECT_EQ(asked[1].common, CommonMotion::kNone);
+  EXPECT_EQ(asked[1].second_s, 1.0) << "the one that is nearest to dodge_pair_s ago";
+  EXPECT_EQ(asked[1].common, CommonMotion::kRotation);
   EXPECT_FALSE(skill->plan(at(1.5)).valid) << "too far from the last one";
   EXPECT_FALSE(skill->plan(at(1.4)).valid) << "out of order";
   EXPECT_EQ(asked.size(), 2U);
+}
+
+TEST_F(SkillTest, DodgePairsMayBeNeighbours) {
+  SkillOptions options;
+  options.dodge_pair_s = 0.0;
+  const auto skill = make_skill(options, signal());
+  skill->plan(at(1.0));
+  skill->plan(at(1.1));
+  skill->remember(at(1.17));
+  skill->plan(at(1.2));
+  EXPECT_EQ(asked.back().second_s, 1.17) << "a frame that was only remembered makes the pair shorter";
+  options.dodge_pair_s = options.max_interval_s + 0.1;
+  EXPECT_THROW(validate(options), Error);
 }
 
 TEST_F(SkillTest, DodgeDecidesOnce) {
@@ -113,7 +126,7 @@ TEST_F(SkillTest, AFailedSignalIsToldAndTheFrameKept) {
     EXPECT_THROW(skill->plan(at(0.05)), Error);
     fails = false;
     asked.clear();
-    EXPECT_TRUE(skill->plan(at(0.1)).valid);
+    EXPECT_TRUE(skill->plan(at(task == Task::kDodge ? 0.2 : 0.1)).valid);
     ASSERT_EQ(asked.size(), 1U);
     EXPECT_EQ(asked[0].second_s, task == Task::kDodge ? 0.05 : 0.0);
   }

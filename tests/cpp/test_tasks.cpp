@@ -175,8 +175,12 @@ TEST(Dodge, TracksADiscAndGoesTheOtherWay) {
 TEST(Dodge, ADirectHitIsLeftSideways) {
   DodgePipeline pipeline;
   DodgeResult result;
-  for (int i = 0; i < 3; ++i) {
+  for (int i = -8; i < 0; ++i) {
+    pipeline.step(calm_map(), i * kFrame);
+  }
+  for (int i = 0; i < 7; ++i) {
     result = pipeline.step(with_disc(calm_map(), {200, 120}, 10 + 2 * i, 1.6), i * kFrame);
+    EXPECT_EQ(result.status, i < 6 ? DodgeStatus::kDetected : DodgeStatus::kIncoming) << "confirm_s, frame " << i;
   }
   ASSERT_EQ(result.status, DodgeStatus::kIncoming);
   EXPECT_LT(result.safe_direction->x(), -0.9);  // it is seen on the right

@@ -42,7 +42,7 @@ class Moving:
     def source(self, camera: CameraModel):
         def seen(first: tasks.Snapshot, second: tasks.Snapshot, common: str) -> np.ndarray:
             y, x = np.mgrid[: camera.height, : camera.width]
-            disc = np.hypot(x - 90 - 20 * first.time_s, y - 60) <= 10
+            disc = np.hypot(x - 35 - 90 * first.time_s, y - 60) <= 10
             return np.where(disc, self.contrast, 0.2).astype(np.float32)
 
         return seen

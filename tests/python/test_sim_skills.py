@@ -72,7 +72,7 @@ def observed(time_s: float) -> Observation:
 
 
 class Disc:
-    """A thing that grows on the right; counts how often it is asked for."""
+    """A thing on the right that grows and moves on to the right; counts how often it is asked for."""
 
     needs: frozenset[str] = frozenset()
 
@@ -87,7 +87,7 @@ class Disc:
     def _seen(self, first: tasks.Snapshot, second: tasks.Snapshot, common: str) -> np.ndarray:
         self.calls += 1
         y, x = np.mgrid[:240, :320]
-        disc = np.hypot(x - 220, y - 120) <= 8 + 90 * first.time_s
+        disc = np.hypot(x - 200 - 150 * first.time_s, y - 120) <= 8 + 90 * first.time_s
         return np.where(disc, np.float32(1.6), np.float32(0.2)).astype(np.float32)
 
 

@@ -10,18 +10,21 @@ namespace {
 
 tasks::DodgeOptions pipeline_options(const SkillOptions& options) {
   constexpr double kMissedPlans = 2.5;
+  constexpr double kMissedDetections = 1.5;
   tasks::DodgeOptions dodge = options.dodge;
   dodge.horizontal_fov_rad = options.horizontal_fov_rad;
   dodge.max_gap_s = std::max(dodge.max_gap_s, kMissedPlans / options.planning_rate_hz);
+  dodge.max_miss_s = std::max(dodge.max_miss_s, kMissedDetections / options.planning_rate_hz);
   return dodge;
 }
 
-/// Hover until something comes. Pairs go from the new frame to the one before it, so that the obstacle is found where
-/// it is now.
+/// Hover until something comes. Pairs go from the new frame to an older one, so that the obstacle is found where it is
+/// now.
 class DodgeSkill final : public Skill {
  public:
   DodgeSkill(const SkillOptions& options, Signal signal)
       : signal_(std::move(signal)),
+        pair_s_(options.dodge_pair_s),
         max_interval_s_(options.max_interval_s),
         memory_(options.max_interval_s),
         pipeline_(pipeline_options(options)),
@@ -43,13 +46,13 @@ class DodgeSkill final : public Skill {
  private:
   SkillOutput decide(const Snapshot& now) {
     SkillOutput output;
-    const Snapshot* before = memory_.find(now.captured_s, 0.0, max_interval_s_);
+    const Snapshot* before = memory_.find(now.captured_s, pair_s_, max_interval_s_);
     if (before == nullptr || !same_size(now, *before)) {
       output.status = "first_frame";
       output.valid = false;
       return output;
     }
-    const SignalMap seen = signal_(now, *before, CommonMotion::kNone);
+    const SignalMap seen = signal_(now, *before, CommonMotion::kRotation);
     output.flow = seen.flow;
     const auto result = pipeline_.step(seen.map, now.captured_s, turning(now));
     output.status = tasks::to_string(result.status);
@@ -82,6 +85,7 @@ class DodgeSkill final : public Skill {
   };
 
   Signal signal_;
+  double pair_s_;
   double max_interval_s_;
   Memory memory_;
   tasks::DodgePipeline pipeline_;

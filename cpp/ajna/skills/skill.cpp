@@ -55,6 +55,7 @@ void validate(const SkillOptions& options) {
   between(options.planning_rate_hz, 2.0, 200.0, "planning_rate_hz");
   between(options.max_interval_s, 0.01, 1.0, "max_interval_s");
   between(options.goal_bearing_rad, -3.15, 3.15, "goal_bearing_rad");
+  between(options.dodge_pair_s, 0.0, options.max_interval_s, "dodge_pair_s");
   between(options.baseline_s, 0.005, 0.5, "baseline_s");
   between(options.max_turn_rad_s, 0.1, 100.0, "max_turn_rad_s");
   between(options.height_gain, 0.0, 10.0, "height_gain");

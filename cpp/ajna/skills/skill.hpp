@@ -32,6 +32,7 @@ struct SkillOptions {
   double goal_bearing_rad = 0.0;   ///< navigate, where no goal is given: to the right of the heading at the beginning
 
   tasks::DodgeOptions dodge;
+  double dodge_pair_s = 0.167;  ///< between the frames of a pair, as near as the camera's rate allows; 0: neighbours
   control::DodgePolicyOptions dodge_policy;
 
   tasks::HorizonOptions horizon;    ///< navigate, where attitude and velocity are known ...

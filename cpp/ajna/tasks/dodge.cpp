@@ -85,15 +85,19 @@ DodgeOptions::DodgeOptions() {
 
 void validate(const DodgeOptions& options) {
   validate(options.map);
+  validate(options.background);
   if (!(options.min_contrast >= 1.0 && options.min_uncertainty >= 0.0)) {
     throw_invalid("dodge options: give min_contrast of at least 1 and min_uncertainty of at least 0");
   }
   if (options.confirm_frames < 2 || options.confirm_frames > 100) {
     throw_invalid("dodge options: give confirm_frames from 2 to 100, as a direction needs two places");
   }
-  if (!(options.gate > 0.0 && options.max_gap_s > 0.0 && options.horizon_s > 0.0 && options.min_growth_per_s > 0.0 &&
-        options.direct_hit >= 0.0)) {
-    throw_invalid("dodge options: gate, max_gap_s, horizon_s and min_growth_per_s must be positive");
+  if (!(options.confirm_s >= 0.0 && std::isfinite(options.confirm_s) && options.min_move >= 0.0)) {
+    throw_invalid("dodge options: give confirm_s of at least 0 seconds, min_move of at least 0 image heights");
+  }
+  if (!(options.gate > 0.0 && options.max_gap_s > 0.0 && options.max_miss_s > 0.0 && options.horizon_s > 0.0 &&
+        options.min_growth_per_s > 0.0 && options.direct_hit >= 0.0)) {
+    throw_invalid("dodge options: gate, max_gap_s, max_miss_s, horizon_s and min_growth_per_s must be positive");
   }
   if (!(options.vertical >= 0.0 && options.vertical <= 1.0)) {
     throw_invalid("dodge options: give vertical from 0 (sideways only) to 1");
@@ -103,13 +107,29 @@ void validate(const DodgeOptions& options) {
   }
 }
 
-DodgePipeline::DodgePipeline(const DodgeOptions& options) : options_(options), clock_(options.max_gap_s) {
+DodgePipeline::DodgePipeline(const DodgeOptions& options)
+    : options_(options), clock_(options.max_gap_s), background_(options.background) {
   validate(options);
 }
 
 void DodgePipeline::reset() noexcept {
   clock_.reset();
+  background_.reset();
   track_.clear();
+}
+
+MapSteps DodgePipeline::find(const cv::Mat& map, double time_s, double turned_rad) {
+  least_ = options_.min_uncertainty;
+  if (options_.background.use && is_valid_map(map)) {
+    if (const auto rise = background_.step(map, time_s, turned_rad)) {
+      MapOptions risen = options_.map;
+      risen.smooth_px = risen.background_px = 0.0;  // both are done
+      risen.min_range = rise->threshold;
+      least_ = risen.fixed * rise->threshold;
+      return find_regions(rise->map, risen);
+    }
+  }
+  return find_regions(map, options_.map);
 }
 
 std::optional<Region> DodgePipeline::choose(const MapSteps& steps, double time_s) const {
@@ -126,7 +146,7 @@ std::optional<Region> DodgePipeline::choose(const MapSteps& steps, double time_s
   std::optional<Region> best;
   double best_score = 0.0;
   for (const Region& region : steps.regions) {
-    if (region.contrast() < options_.min_contrast || region.mean < options_.min_uncertainty) {
+    if (region.contrast() < options_.min_contrast || region.mean < least_) {
       continue;
     }
     // How far it stands out, weighted by its diameter (by area, large weak patches would win over small things), and
@@ -154,9 +174,12 @@ DodgeResult DodgePipeline::step(const cv::Mat& map, double time_s,
     return result;
   }
   if (order == FrameOrder::kAfterGap) {
+    background_.reset();
     track_.clear();
   }
-  result.steps = find_regions(map, options_.map);
+  const bool turned = angular_velocity_rad_s && angular_velocity_rad_s->allFinite() && order == FrameOrder::kNext;
+  result.steps = find(map, time_s, turned ? angular_velocity_rad_s->norm() * (time_s - last_s_) : 0.0);
+  last_s_ = time_s;
   if (result.steps.status == MapStatus::kInvalidInput) {
     track_.clear();
     result.status = DodgeStatus::kInvalidInput;
@@ -175,7 +198,7 @@ DodgeResult DodgePipeline::step(const cv::Mat& map, double time_s,
     result.region = choose(result.steps, time_s);
   }
   if (!result.region) {
-    if (!track_.empty() && time_s - track_.back().time_s > options_.max_gap_s) {
+    if (!track_.empty() && time_s - track_.back().time_s > options_.max_miss_s) {
       track_.clear();
     }
     result.track = track_;
@@ -188,15 +211,25 @@ DodgeResult DodgePipeline::step(const cv::Mat& map, double time_s,
     track_.clear();  // another thing
   }
   track_.push_back(point);
-  if (static_cast<int>(track_.size()) > options_.confirm_frames) {
+  while (static_cast<int>(track_.size()) > options_.confirm_frames && time_s - track_[1].time_s >= options_.confirm_s) {
     track_.erase(track_.begin());
   }
   result.track = track_;
   result.status = DodgeStatus::kDetected;
-  if (static_cast<int>(track_.size()) >= options_.confirm_frames) {
+  if (confirmed(map.size())) {
     predict(result, map.size());
   }
   return result;
+}
+
+bool DodgePipeline::confirmed(const cv::Size& size) const {
+  if (static_cast<int>(track_.size()) < options_.confirm_frames) {
+    return false;
+  }
+  const double span_s = track_.back().time_s - track_.front().time_s;
+  const double x = fit_line(track_, [](const TrackPoint& p) { return p.center_px.x; }).slope;
+  const double y = fit_line(track_, [](const TrackPoint& p) { return p.center_px.y; }).slope;
+  return span_s >= options_.confirm_s || std::hypot(x, y) * span_s > options_.min_move * size.height;
 }
 
 void DodgePipeline::predict(DodgeResult& result, const cv::Size& size) const {

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "ajna/tasks/clock.hpp"
+#include "ajna/tasks/map_background.hpp"
 #include "ajna/tasks/uncertainty_map.hpp"
 
 namespace ajna::tasks {
@@ -22,13 +23,18 @@ const char* to_string(DodgeStatus status) noexcept;
 
 struct DodgeOptions {
   MapOptions map;                 ///< for a small thing before a background that is certain
+  BackgroundOptions background;   ///< what a hovering camera has seen before is taken off, once it is known
   double min_contrast = 1.7;      ///< a region's mean over the mean outside
-  double min_uncertainty = 0.25;  ///< and its mean, in units of the map
+  double min_uncertainty = 0.25;  ///< and its mean, in units of the map; where the background is known, its threshold
   bool convex = true;             ///< the obstacle is the convex hull of its region: rims are seen before the inside
-  int confirm_frames = 3;         ///< detections in a row that make a direction
-  double gate = 0.25;             ///< how far a detection may lie from where the track expects it, image diagonals
-  double max_gap_s = 0.25;        ///< without a frame for longer, or without a detection, the track is dropped
-  double horizon_s = 0.5;         ///< time to contact where growth does not tell it
+  int confirm_frames = 3;         ///< detections in a row that make a direction ...
+  double confirm_s = 0.2;   ///< ... over at least so long if it hardly moves in the image, as a light that goes on
+                            ///< does: that is seen for as long as a pair spans
+  double min_move = 0.01;   ///< along the track, in image heights: less is hardly
+  double gate = 0.25;       ///< how far a detection may lie from where the track expects it, image diagonals
+  double max_gap_s = 0.25;  ///< without a frame for longer, all that was seen is dropped ...
+  double max_miss_s = 0.1;  ///< ... and without a detection for longer, the track
+  double horizon_s = 0.5;   ///< time to contact where growth does not tell it
   double min_growth_per_s = 0.3;  ///< growth of the diameter below which it does not
   double vertical = 0.0;    ///< how much of the vertical motion counts for the safe direction, 0 to 1: thrown things
                             ///< rise and fall, which says little of where they hit; 0: sideways only
@@ -49,7 +55,7 @@ struct TrackPoint {
 
 struct DodgeResult {
   DodgeStatus status = DodgeStatus::kNoObstacle;
-  MapSteps steps;
+  MapSteps steps;                 ///< of the map, or of its rise above the background
   cv::Mat mask;                   ///< CV_8U: the obstacle; empty without one
   std::optional<Region> region;   ///< of the map that it was found in
   std::vector<TrackPoint> track;  ///< oldest first, at most as many as a fit uses
@@ -79,11 +85,16 @@ class DodgePipeline {
   [[nodiscard]] const DodgeOptions& options() const noexcept { return options_; }
 
  private:
+  [[nodiscard]] bool confirmed(const cv::Size& size) const;
   void predict(DodgeResult& result, const cv::Size& size) const;
+  MapSteps find(const cv::Mat& map, double time_s, double turned_rad);
   std::optional<Region> choose(const MapSteps& steps, double time_s) const;
 
   DodgeOptions options_;
   FrameClock clock_;
+  MapBackground background_;
+  double last_s_ = 0.0;
+  double least_ = 0.0;  ///< mean of a region that counts, in units of the last map
   std::vector<TrackPoint> track_;
 };
 
