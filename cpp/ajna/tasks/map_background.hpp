@@ -15,7 +15,7 @@ struct BackgroundOptions {
   double deviations =
       3.0;  ///< so many times its mean absolute deviation a pixel must rise: lights blink again and again
   double min_rise = 0.006;     ///< over the mean, in units of the map, whatever the noise ...
-  double noise_factor = 4.0;   ///< ... and in units of what 99 of 100 pixels do not rise by
+  double noise_factor = 3.0;   ///< ... and in units of what 99 of 100 pixels do not rise by
   double max_share = 0.25;     ///< of the picture that may rise at once: more, and the camera has moved
   double max_turn_rad = 0.03;  ///< of the camera since the last map; more, and all is learned anew
 };
