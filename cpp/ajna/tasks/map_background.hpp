@@ -32,7 +32,7 @@ struct Rise {
 ///
 /// A network is not equally sure everywhere: flat and repetitive surfaces, the rim of the picture and depth edges have
 /// an uncertainty of their own, which stays as long as the camera does. What it varies by from map to map is a
-/// hundredth of that, so a small or slow thing is seen long before it stands out of the map itself.
+/// small part of that, so a small or slow thing is seen long before it stands out of the map itself.
 class MapBackground {
  public:
   explicit MapBackground(const BackgroundOptions& options = {});
