@@ -13,7 +13,7 @@ pytest.importorskip("mujoco")
 pytest.importorskip("cv2")
 
 from ajna.sim import CameraModel, make_method
-from ajna.sim.methods.adapter import Network, image_input
+from ajna.sim.methods.adapter import Network, PairNetwork, image_input
 from ajna.sim.observation import TaskSetup
 
 CAMERA = CameraModel(width=64, height=48)
@@ -52,10 +52,11 @@ def test_network_errors(tmp_path: Path, red_network: Path) -> None:
     (tmp_path / "net.bin").write_bytes(b"")
     with pytest.raises(ValueError, match="unknown extension"):
         Network(tmp_path / "net.bin")
-    network = Network(red_network)
-    network._net = lambda batch: 1 / 0
+    import torch
+
+    torch.jit.trace(torch.nn.Conv2d(6, 1, 1), torch.zeros(1, 6, 8, 8)).save(str(tmp_path / "six.pt"))
     with pytest.raises(ValueError, match="fails on an input"):
-        network(np.zeros((3, 8, 8), np.float32))
+        Network(tmp_path / "six.pt")(np.zeros((3, 8, 8), np.float32))
 
 
 def write_onnx(path: Path, channel: int, gain: float = 1.0, bias: float = 0.0, end: str | None = None) -> Path:
@@ -148,3 +149,125 @@ def test_onnx_errors_are_sentences(tmp_path: Path) -> None:
     flat = Network(write_onnx(tmp_path / "flat.onnx", 0, end="flat"))
     with pytest.raises(ValueError, match="expected one map"):
         flat(np.zeros((3, 8, 8), np.float32))
+    with pytest.raises(ValueError, match="fails on an input of \\(1, 6, 8, 8\\)"):
+        Network(tmp_path / "whole.onnx")(np.zeros((6, 8, 8), np.float32))
+    nan = Network(write_onnx(tmp_path / "nan.onnx", 0, bias=float("nan")))
+    with pytest.raises(ValueError, match="not finite"):
+        nan(np.zeros((3, 8, 8), np.float32))
+
+
+# --- networks that compare two frames ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def pair_networks(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """TorchScript files: "flow": two frames to flow at half the size, by the brightness of each; "mask": where the
+    first frame is brighter, from both in one input; "three": takes three frames."""
+    import torch
+
+    class Flow(torch.nn.Module):
+        def forward(self, frame1: torch.Tensor, frame2: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+            small = torch.nn.functional.avg_pool2d(torch.cat([frame1[:, :1], frame2[:, :1]], 1), 2)
+            return small * 10, small
+
+    class Mask(torch.nn.Module):
+        def forward(self, frames: torch.Tensor) -> torch.Tensor:
+            return (frames[:, :1] > frames[:, 3:4]).float()
+
+    class Three(torch.nn.Module):
+        def forward(self, a: torch.Tensor, b: torch.Tensor, c: torch.Tensor) -> torch.Tensor:
+            return a + b + c
+
+    folder = tmp_path_factory.mktemp("pair")
+    frame = torch.zeros(1, 3, 8, 8)
+    torch.jit.trace(Flow(), (frame, frame)).save(str(folder / "flow.pt"))
+    torch.jit.trace(Mask(), torch.zeros(1, 6, 8, 8)).save(str(folder / "mask.pt"))
+    torch.jit.trace(Three(), (frame, frame, frame)).save(str(folder / "three.pt"))
+    return {path.stem: path for path in folder.glob("*.pt")}
+
+
+def plain(grey: int, size: tuple[int, int] = (24, 32)) -> np.ndarray:
+    return np.full((*size, 3), grey, np.uint8)
+
+
+def test_flow_network_of_the_user(pair_networks: dict[str, Path]) -> None:
+    """Flow in pixels of the network's input becomes pixels of the frame; what leads there and back is measured."""
+    field = PairNetwork(pair_networks["flow"])(plain(51), plain(102))
+    assert field.flow.shape == field.uncertainty.shape == (24, 32, 2)
+    assert np.allclose(field.flow, [2, 4])  # 10 x 51/255 to the right, 10 x 102/255 down
+    assert np.allclose(field.uncertainty, [6, 6])  # 2 + 4 and 4 + 2: the way back was (4, 2)
+    smaller = PairNetwork(pair_networks["flow"], size=(12, 8))(plain(51), plain(102))
+    assert np.allclose(smaller.flow, [2 * 4, 4 * 2])  # four times as wide, twice as high
+    for name in ("gapflyt-pwcnet", "gapflyt-flownet2", "gapflyt-spynet", "occmask-net"):
+        assert make_method(name, pair_networks["flow"]).name == name
+
+
+def test_flow_network_in_onnx(tmp_path: Path) -> None:
+    """Two inputs, told apart by their order: flow = the red of frame 1, and of frame 2."""
+    onnx = pytest.importorskip("onnx")
+    helper, kind = onnx.helper, onnx.TensorProto.FLOAT
+    pick = np.zeros((2, 6, 1, 1), np.float32)
+    pick[0, 0], pick[1, 3] = 1, 1
+    nodes = [
+        helper.make_node("Concat", ["first", "second"], ["both"], axis=1),
+        helper.make_node("Conv", ["both", "pick"], ["flow"]),
+    ]
+    frames = [helper.make_tensor_value_info(name, kind, [1, 3, "H", "W"]) for name in ("first", "second")]
+    answer = helper.make_tensor_value_info("flow", kind, [1, 2, "H", "W"])
+    graph = helper.make_graph(
+        nodes, "flow", frames, [answer], [helper.make_tensor("pick", kind, pick.shape, pick.ravel())]
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    onnx.save(model, str(tmp_path / "flow.onnx"))
+    assert np.allclose(PairNetwork(tmp_path / "flow.onnx")(plain(51), plain(102)).flow, [0.2, 0.4])
+
+
+def test_occlusion_by_networks(pair_networks: dict[str, Path]) -> None:
+    """A mask is taken as it is, flow by its forward-backward distance; both lie on the newer frame."""
+    dark, bright = plain(40, (48, 64)), plain(40, (48, 64))
+    bright[12:36, 24:48] = 220
+    square = bright[..., 0] == 220
+
+    def mask(weights: Path) -> np.ndarray:
+        method = make_method("occmask-net", weights)
+        method.reset(TaskSetup("pile", CAMERA, 1.0, 0.25, 0))
+        assert method._perception.mask(observation_of(dark), False) is None
+        return method._perception.mask(observation_of(bright), False)
+
+    by_mask = mask(pair_networks["mask"])
+    assert (by_mask & square).sum() > 0.95 * (by_mask | square).sum()
+    by_flow = mask(pair_networks["flow"])  # it never leads back, and least where it is bright
+    assert by_flow is not None and by_flow[20:28, 32:40].all()
+
+
+def test_errors_of_pair_networks(pair_networks: dict[str, Path], red_network: Path) -> None:
+    with pytest.raises(ValueError, match="takes 3 inputs: expected two frames"):
+        PairNetwork(pair_networks["three"])
+    with pytest.raises(ValueError, match="takes 2 inputs: expected one"):
+        Network(pair_networks["flow"])
+    with pytest.raises(ValueError, match="gives an occlusion mask, but flow is needed"):
+        PairNetwork(pair_networks["mask"])(plain(0), plain(9))
+    with pytest.raises(ValueError, match="needs a network"):
+        make_method("gapflyt-spynet")
+
+
+def test_event_network_of_two_frames(tmp_path: Path) -> None:
+    """It sees the event frame before the newest one, then the newest."""
+    import torch
+
+    class Older(torch.nn.Module):
+        def forward(self, events: torch.Tensor) -> torch.Tensor:
+            return events[:, 2:3]
+
+    torch.jit.trace(Older(), torch.zeros(1, 6, 8, 8)).save(str(tmp_path / "older.pt"))
+    method = make_method("evdodgenet-flow", tmp_path / "older.pt")
+    method.reset(TaskSetup("dodge", CAMERA, 1.0, 0.25, 0))
+    dark = np.full((48, 64, 3), 40, np.uint8)
+    bright = dark.copy()
+    bright[12:36, 24:48] = 220
+    for _ in range(3):
+        assert method._perception.mask(observation_of(dark), False) is None
+    assert method._perception.mask(observation_of(bright), False) is None
+    mask = method._perception.mask(observation_of(bright), False)
+    square = bright[..., 0] == 220
+    assert (mask & square).sum() > 0.95 * (mask | square).sum()

@@ -205,7 +205,7 @@ def run_benchmark(
         if name not in {row.method for row in rows}:
             raise ValueError(f"--weights {name}=...: '{name}' is not a method of '{experiment}'")
     for row in rows:
-        if row.method is None or (row.needs_weights and row.method not in files):
+        if row.needs_weights and row.method not in files:
             continue
         plan = TrialPlan(experiment, row.method, trials, seed, out, files.get(row.method))
         speed = Speed()

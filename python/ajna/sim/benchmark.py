@@ -18,7 +18,7 @@ __all__ = ["EXPERIMENTS", "PaperRow", "Row", "as_markdown", "rows_of", "task_of"
 class PaperRow:
     """A row of the paper's Table 1 or 2, or of its text: rates in percent, lengths as printed; None: not given."""
 
-    method: str | None  # our name of it; None: not among ours
+    method: str  # our name of it
     title: str
     detection_rate: float | None = None
     success_rate: float | None = None
@@ -50,7 +50,8 @@ def _room(success_percent: float) -> tuple[PaperRow, ...]:
         PaperRow("morpheyes", "MorphEyes"),
         PaperRow("midas-s", "MiDaS-S", **_MIDAS_S),
         PaperRow("midas", "MiDaS", **_MIDAS),
-        PaperRow("occmask", "OccMask"),
+        PaperRow("occmask-net", "OccMask (MaskFlowNet)"),
+        PaperRow("occmask", "OccMask (DIS)"),
         PaperRow("ajna", "Ajna", None, success_percent, **_AJNA),
         *_OURS,
     )
@@ -64,23 +65,27 @@ EXPERIMENTS: dict[str, tuple[PaperRow, ...]] = {
         PaperRow("midas-s", "MiDaS-S", 0.0, run_time_ms=12.0, **_MIDAS_S),
         PaperRow("midas", "MiDaS", 3.1, run_time_ms=137.8, **_MIDAS),
         PaperRow("evdodgenet", "EVDodgeNet (SegNet)", 40.4, run_time_ms=2.5, gflops=0.2, mparameters=0.03),
-        PaperRow(None, "EVDodgeNet (DB + H + SegFlowNet)", 90.7, run_time_ms=11.0, gflops=5.2, mparameters=3.6),
+        PaperRow(
+            "evdodgenet-flow", "EVDodgeNet (DB + H + SegFlowNet)", 90.7, run_time_ms=11.0, gflops=5.2, mparameters=3.6
+        ),
         PaperRow("events", "event density"),
-        PaperRow("occmask", "OccMask", 74.8, **_OCCMASK),
+        PaperRow("occmask-net", "OccMask (MaskFlowNet)", 74.8, **_OCCMASK),
+        PaperRow("occmask", "OccMask (DIS)"),
         PaperRow("morpheyes", "MorphEyes"),
         PaperRow("ajna", "Ajna", 89.2, 83.3, **_AJNA),
         *_OURS,
     ),
     "gap": (
         PaperRow("depth", "true depth"),
-        PaperRow(None, "GapFlyt (PWC-Net)", 94.2, run_time_ms=91.0, gflops=90.8, mparameters=8.75),
-        PaperRow(None, "GapFlyt (FlowNet2)", 93.0, run_time_ms=124.0, gflops=24836.4, mparameters=162.5),
-        PaperRow(None, "GapFlyt (SpyNet)", 74.0, run_time_ms=70.0, gflops=149.8, mparameters=1.2),
+        PaperRow("gapflyt-pwcnet", "GapFlyt (PWC-Net)", 94.2, run_time_ms=91.0, gflops=90.8, mparameters=8.75),
+        PaperRow("gapflyt-flownet2", "GapFlyt (FlowNet2)", 93.0, run_time_ms=124.0, gflops=24836.4, mparameters=162.5),
+        PaperRow("gapflyt-spynet", "GapFlyt (SpyNet)", 74.0, run_time_ms=70.0, gflops=149.8, mparameters=1.2),
         PaperRow("gapflyt", "GapFlyt (DIS)"),
         PaperRow("d435i", "D435i", 100.0, run_time_ms=1.0),
         PaperRow("midas-s", "MiDaS-S", 0.0, run_time_ms=12.0, **_MIDAS_S),
         PaperRow("midas", "MiDaS", 30.1, run_time_ms=137.8, **_MIDAS),
-        PaperRow("occmask", "OccMask", 56.2, **_OCCMASK),
+        PaperRow("occmask-net", "OccMask (MaskFlowNet)", 56.2, **_OCCMASK),
+        PaperRow("occmask", "OccMask (DIS)"),
         PaperRow("morpheyes", "MorphEyes"),
         PaperRow("ajna", "Ajna", 91.0, **_AJNA),
         *_OURS,
@@ -90,7 +95,8 @@ EXPERIMENTS: dict[str, tuple[PaperRow, ...]] = {
         PaperRow("morpheyes", "MorphEyes", None, 99.0, 0.6, 1.1, 2.5),
         PaperRow("midas-s", "MiDaS-S", None, 32.0, 7.8, 6.8, 13.4, **_MIDAS_S),
         PaperRow("midas", "MiDaS", None, 97.0, 1.0, 1.1, 139.2, **_MIDAS),
-        PaperRow("occmask", "OccMask", None, 0.0, None, 40.0, 35.3, 62.7, 20.6),
+        PaperRow("occmask-net", "OccMask (MaskFlowNet)", None, 0.0, None, 40.0, 35.3, 62.7, 20.6),
+        PaperRow("occmask", "OccMask (DIS)"),
         PaperRow("d435i", "D435i"),
         PaperRow("ajna", "Ajna", None, 92.0, 2.7, 4.1, 11.6, 6.3, 2.7),
         *_OURS,
@@ -105,7 +111,8 @@ EXPERIMENTS: dict[str, tuple[PaperRow, ...]] = {
         PaperRow("midas", "MiDaS", **_MIDAS),
         PaperRow("mask-rcnn", "Mask R-CNN"),
         PaperRow("pointrend", "PointRend"),
-        PaperRow("occmask", "OccMask"),
+        PaperRow("occmask-net", "OccMask (MaskFlowNet)"),
+        PaperRow("occmask", "OccMask (DIS)"),
         PaperRow("ajna", "Ajna", **_AJNA),
         _OURS[1],
     ),
@@ -133,12 +140,12 @@ class Row:
     measured: dict[str, Any] | None = None
 
     @property
-    def method(self) -> str | None:
+    def method(self) -> str:
         return self.paper.method
 
     @property
     def needs_weights(self) -> bool:
-        return self.method is not None and METHODS[self.method].needs_weights
+        return METHODS[self.method].needs_weights
 
     @property
     def note(self) -> str:
@@ -161,7 +168,7 @@ def rows_of(experiment: str, methods: Sequence[str] | None = None) -> list[Row]:
     """
     task_of(experiment)
     rows = [Row(row) for row in EXPERIMENTS[experiment]]
-    known = [row.method for row in rows if row.method is not None]
+    known = [row.method for row in rows]
     for name in methods or []:
         if name not in known:
             near = _core.nearest_name(name, known)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ajna import _core
-from ajna.sim.methods.adapter import InstanceMasks, MonocularDepth, Network
+from ajna.sim.methods.adapter import InstanceMasks, MonocularDepth, Network, PairNetwork
 from ajna.sim.methods.base import PilotedMethod
 from ajna.sim.methods.blind import Blind
 from ajna.sim.methods.depth import D435iSensor, DepthPerception, StereoSensor, TrueDepthSensor
@@ -26,18 +26,24 @@ __all__ = ["METHODS", "MethodInfo", "make_method"]
 class MethodInfo:
     """A method's name in the paper, what it does, and how to make what it sees with.
 
-    ``needs_weights``: ``make`` takes a :class:`Network` of the user's. ``timing``: of a method that flies by Ajna's
-    pipelines and policies; ``make`` then gives its signal instead of a perception. ``takes_checkpoint``: ``make`` takes
-    a model file of Ajna's, or None for the shipped one. ``whole``: ``make`` gives the method itself.
+    ``network``: the kind of network of the user's that ``make`` takes; None: no network. ``timing``: of a method that
+    flies by Ajna's pipelines and policies; ``make`` then gives its signal instead of a perception.
+    ``takes_checkpoint``: ``make`` takes a model file of Ajna's, or None for the shipped one. ``whole``: ``make`` gives
+    the method itself.
     """
 
     title: str
     tasks: frozenset[str]
     make: Callable[..., Any]
-    needs_weights: bool = False
+    network: type[Network] | type[PairNetwork] | None = None
     timing: Timing | None = None
     takes_checkpoint: bool = False
     whole: bool = False
+
+    @property
+    def needs_weights(self) -> bool:
+        """Whether nothing flies without a network of the user's."""
+        return self.network is not None
 
 
 _ALL = frozenset({"navigate", "gap", "dodge", "pile"})
@@ -53,13 +59,20 @@ METHODS: dict[str, MethodInfo] = {
     "d435i": MethodInfo("D435i (model)", _ALL, lambda: DepthPerception(D435iSensor)),
     "morpheyes": MethodInfo("MorphEyes (SGBM)", _ALL, lambda: DepthPerception(StereoSensor)),
     "occmask": MethodInfo("OccMask (DIS, forward-backward)", OcclusionMask.tasks, OcclusionMask),
+    "occmask-net": MethodInfo("OccMask (network)", OcclusionMask.tasks, OcclusionMask, PairNetwork),
     "gapflyt": MethodInfo("GapFlyt (DIS)", GapFlyt.tasks, GapFlyt),
+    "gapflyt-pwcnet": MethodInfo("GapFlyt (PWC-Net)", GapFlyt.tasks, GapFlyt, PairNetwork),
+    "gapflyt-flownet2": MethodInfo("GapFlyt (FlowNet2)", GapFlyt.tasks, GapFlyt, PairNetwork),
+    "gapflyt-spynet": MethodInfo("GapFlyt (SpyNet)", GapFlyt.tasks, GapFlyt, PairNetwork),
     "events": MethodInfo("event density", EventPerception.tasks, EventPerception),
-    "evdodgenet": MethodInfo("EVDodgeNet (SegNet)", EventPerception.tasks, EventPerception, True),
-    "midas": MethodInfo("MiDaS", _ALL, MonocularDepth, True),
-    "midas-s": MethodInfo("MiDaS-S", _ALL, MonocularDepth, True),
-    "mask-rcnn": MethodInfo("Mask R-CNN", InstanceMasks.tasks, InstanceMasks, True),
-    "pointrend": MethodInfo("PointRend", InstanceMasks.tasks, InstanceMasks, True),
+    "evdodgenet": MethodInfo("EVDodgeNet (SegNet)", EventPerception.tasks, EventPerception, Network),
+    "evdodgenet-flow": MethodInfo(
+        "EVDodgeNet (DB + H + SegFlowNet)", EventPerception.tasks, lambda net: EventPerception(net, frames=2), Network
+    ),
+    "midas": MethodInfo("MiDaS", _ALL, MonocularDepth, Network),
+    "midas-s": MethodInfo("MiDaS-S", _ALL, MonocularDepth, Network),
+    "mask-rcnn": MethodInfo("Mask R-CNN", InstanceMasks.tasks, InstanceMasks, Network),
+    "pointrend": MethodInfo("PointRend", InstanceMasks.tasks, InstanceMasks, Network),
     "blind": MethodInfo("none (flies straight, hovers)", _ALL, Blind),
 }
 
@@ -79,10 +92,10 @@ def make_method(name: str, weights: str | Path | None = None, size: tuple[int, i
         hint = f"did you mean '{near}'? " if near else ""
         raise ValueError(f"unknown method '{name}'; {hint}Known: {', '.join(METHODS)}")
     info = METHODS[name]
-    if info.needs_weights:
+    if info.network is not None:
         if weights is None:
             raise ValueError(f"method '{name}' needs a network: give its TorchScript or ONNX file by --weights FILE")
-        return PilotedMethod(name, info.make(Network(weights, size)))
+        return PilotedMethod(name, info.make(info.network(weights, size)))
     if info.whole:
         return info.make(weights)
     if info.takes_checkpoint:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -38,19 +40,23 @@ class EventPerception:
     """Thrown objects in event frames: by a network of the user's, or by the density of the events.
 
     Args:
-        network: takes the event frame float32 [1, 3, H, W] (positive, negative, both; counts scaled to at most 1) and
-            gives the probability of an obstacle [1, 1, H, W]; None: density of events above that of the background.
+        network: takes the last ``frames`` event frames, float32 [1, 3 * frames, H, W] (of each: positive, negative,
+            both; counts scaled to at most 1; the newest last) and gives the probability of an obstacle [1, 1, H, W];
+            None: density of events above that of the background.
+        frames: how many event frames the network sees.
     """
 
     tasks = frozenset({"dodge"})
     needs = frozenset({"rgb"})
 
-    def __init__(self, network: Network | None = None) -> None:
+    def __init__(self, network: Network | None = None, frames: int = 1) -> None:
         self._network = network
+        self._recent: deque[NDArray[np.float32]] = deque(maxlen=frames)
 
     def reset(self, setup: TaskSetup) -> None:
         self._sensor = EventSensor()
         self._frames = 0
+        self._recent.clear()
 
     def depth(self, observation: Observation) -> Map:
         raise ValueError("event frames find thrown objects only")
@@ -60,12 +66,14 @@ class EventPerception:
 
         events = self._sensor(observation.rgb)
         self._frames += 1
-        if self._frames < 3:
-            return None
         if self._network is not None:
             up, down = np.maximum(events, 0), np.maximum(-events, 0)
             stacked = np.stack([up, down, np.abs(events)]).astype(np.float32)
-            return largest_region(self._network(stacked / max(float(stacked.max()), 1.0)) > 0.5, least_px=12)
+            self._recent.append(stacked / max(float(stacked.max()), 1.0))
+        if self._frames < 3:
+            return None
+        if self._network is not None:
+            return largest_region(self._network(np.concatenate(self._recent)) > 0.5, least_px=12)
         active = (events != 0).astype(np.float32)
         density = cv2.boxFilter(active, -1, (5, 5))
         limit = max(0.35, float(np.quantile(cv2.boxFilter(active, -1, (31, 31)), 0.5)) * 2.5)

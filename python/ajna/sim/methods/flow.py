@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ajna.baselines import FlowMethod, make_baseline
+from ajna.sim.methods.adapter import PairNetwork
 from ajna.sim.methods.base import NOMINAL_DISTANCE_M, Map, Mask, largest_region, opened
 from ajna.sim.observation import Observation, TaskSetup
 
@@ -36,7 +37,8 @@ class OcclusionMask:
     Pixels that come from outside of the other frame disagree as well, without being occluded: they do not count.
 
     Args:
-        flow: name of a baseline, or any flow method whose ``uncertainty`` is that disagreement.
+        flow: name of a baseline, any flow method whose ``uncertainty`` is that disagreement, or a network of the user's
+            that gives flow or the mask itself.
     """
 
     tasks = frozenset({"navigate", "gap", "dodge", "pile"})
@@ -44,7 +46,7 @@ class OcclusionMask:
     RELATIVE, ABSOLUTE_PX = 0.05, 0.7  # disagreement that counts: a share of the flow, plus pixels
     BORDER_PX = 4
 
-    def __init__(self, flow: str | FlowMethod = "dis") -> None:
+    def __init__(self, flow: str | FlowMethod | PairNetwork = "dis") -> None:
         self._flow = make_baseline(flow) if isinstance(flow, str) else flow
 
     def reset(self, setup: TaskSetup) -> None:
@@ -58,7 +60,13 @@ class OcclusionMask:
         if previous is None:
             return None
         # From the new frame to the old one, so that the mask lies on the new frame.
-        field = self._flow(self._previous, previous)
+        if isinstance(self._flow, PairNetwork):
+            answer = self._flow.answer(self._previous, previous)
+            if len(answer) == 1:
+                return np.asarray(answer[0] > 0.5)
+            field = self._flow.with_distance(answer, self._previous, previous)
+        else:
+            field = self._flow(self._previous, previous)
         size = np.linalg.norm(field.flow, axis=2)
         disagrees = np.linalg.norm(field.uncertainty, axis=2) > self.ABSOLUTE_PX + self.RELATIVE * size
         height, width = size.shape
