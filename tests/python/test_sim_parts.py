@@ -15,8 +15,9 @@ import pytest
 pytest.importorskip("mujoco")
 pytest.importorskip("cv2")
 
+import ajna
 from ajna.sim import Command, make_method, make_world
-from ajna.sim.benchmark import EXPERIMENTS, as_markdown, rows_of
+from ajna.sim.benchmark import EXPERIMENTS, as_markdown, cost_of, rows_of
 from ajna.sim.camera import CameraModel, add_sensor_noise, exposure_gain
 from ajna.sim.episode import EpisodeResult, intersection_over_union
 from ajna.sim.flight import Flight
@@ -239,14 +240,25 @@ def test_tables_name_known_methods() -> None:
     assert set(EXPERIMENTS) == set(WORLDS)
     for experiment in EXPERIMENTS:
         rows = rows_of(experiment)
-        assert {row.method for row in rows if row.method} <= set(METHODS)
+        assert {row.method for row in rows} <= set(METHODS)
         table = as_markdown(experiment, rows)
         assert table.count("\n") == len(rows) + 1
-        lines = [line for line in table.split("\n") if "MiDaS |" in line or "MiDaS-S |" in line]
-        assert all("weights not given" in line for line in lines)
+        for row, line in zip(rows, table.split("\n")[2:], strict=True):
+            wants = any(name in row.paper.title for name in ("MiDaS", "Net", "R-CNN", "PointRend"))
+            assert ("weights not given" if wants else "not run") in line
     assert [row.method for row in rows_of("gap", ["gapflyt"])] == ["gapflyt"]
     with pytest.raises(ValueError, match="not a method of 'pile'"):
         rows_of("pile", ["gapflyt"])
+
+
+def test_tables_count_our_network() -> None:
+    (row,) = rows_of("forest", ["ajna"])
+    assert cost_of("depth") is None and cost_of("ajna-true-flow") is None
+    row.cost = cost_of("ajna")
+    assert row.cost is not None and row.cost.parameters == ajna.load().info.parameters
+    last = as_markdown("forest", [row]).split("\n")[-1]
+    assert last.endswith(f"| 6.3 | {row.cost.flops / 1e9:.1f} | 2.70 | {row.cost.parameters / 1e6:.2f} |")
+    assert row.to_json()["cost"]["flops"] == row.cost.flops
 
 
 def test_intersection_over_union() -> None:

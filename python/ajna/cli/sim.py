@@ -194,7 +194,7 @@ def run_benchmark(
 ) -> None:
     """Fly what is missing and write the table; see the command's options."""
     from ajna.cli.outputs import check_folder
-    from ajna.sim.benchmark import as_markdown, rows_of
+    from ajna.sim.benchmark import as_markdown, cost_of, rows_of
     from ajna.sim.statistics import summarize
     from ajna.sim.trials import Speed, TrialPlan, run_trials, write_json
 
@@ -212,6 +212,7 @@ def run_benchmark(
         with _progress(f"{experiment}, {row.method}", trials) as advance:
             results = run_trials(plan, workers, advance, speed)
         row.measured = {**summarize(results), "speed": speed.to_json()}
+        row.cost = cost_of(row.method, files.get(row.method))
         if speed.frames_per_s is not None:
             typer.echo(f"{experiment}, {row.method}: {_pace(speed)}", err=True)
     records = [row.to_json() for row in rows]

@@ -5,13 +5,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+import ajna
 from ajna import _core
+from ajna.baselines import Cost, OnePass
 from ajna.sim.methods import METHODS
 from ajna.sim.worlds import WORLDS
 
-__all__ = ["EXPERIMENTS", "PaperRow", "Row", "as_markdown", "rows_of", "task_of"]
+__all__ = ["EXPERIMENTS", "PaperRow", "Row", "as_markdown", "cost_of", "rows_of", "task_of"]
 
 
 @dataclass(frozen=True)
@@ -134,10 +137,14 @@ def task_of(world: str) -> str:
 
 @dataclass
 class Row:
-    """The paper's row and our summary (see :func:`ajna.sim.statistics.summarize`), where there is one."""
+    """The paper's row and our summary (see :func:`ajna.sim.statistics.summarize`), where there is one.
+
+    ``cost``: of an answer of our network; None for methods without it.
+    """
 
     paper: PaperRow
     measured: dict[str, Any] | None = None
+    cost: Cost | None = None
 
     @property
     def method(self) -> str:
@@ -157,7 +164,7 @@ class Row:
     def to_json(self) -> dict[str, Any]:
         paper = {key: value for key, value in vars(self.paper).items() if key not in ("method", "title")}
         return {"method": self.method, "title": self.paper.title, "paper": paper, "measured": self.measured,
-                "note": self.note}  # fmt: skip
+                "cost": None if self.cost is None else self.cost._asdict(), "note": self.note}  # fmt: skip
 
 
 def rows_of(experiment: str, methods: Sequence[str] | None = None) -> list[Row]:
@@ -177,6 +184,16 @@ def rows_of(experiment: str, methods: Sequence[str] | None = None) -> list[Row]:
     if methods is None:
         return rows
     return [row for row in rows if row.method in methods]
+
+
+def cost_of(method: str, weights: str | Path | None = None) -> Cost | None:
+    """What an answer of our network takes in a method, at the camera's 320x240; None for methods without it.
+
+    ``weights``: a model file; None: the shipped model.
+    """
+    if not METHODS[method].takes_checkpoint:
+        return None
+    return OnePass(ajna.load("best" if weights is None else str(weights))).cost(320, 240)
 
 
 def _number(value: float | None, digits: int = 1) -> str:
@@ -210,13 +227,15 @@ def as_markdown(experiment: str, rows: Sequence[Row]) -> str:
     head = ["method", "trials"]
     for title, key, _ in columns:
         head += [f"{title}, paper", f"{title}, ours"] if key in printed else [f"{title}, ours"]
-    head += ["GFLOP, paper", "M parameters, paper"]
+    head += ["GFLOP, paper", "GFLOP, ours", "M parameters, paper", "M parameters, ours"]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for row in rows:
         cells = [row.paper.title, row.note if row.measured is None else str(row.measured["trials"])]
         for _, key, scale in columns:
             cells += [_number(getattr(row.paper, key))] if key in printed else []
             cells.append(_measured(row.measured, key, scale))
-        cells += [_number(row.paper.gflops), _number(row.paper.mparameters, 2)]
+        flops, parameters = (None, None) if row.cost is None else (row.cost.flops, row.cost.parameters)
+        cells += [_number(row.paper.gflops), _number(None if flops is None else flops / 1e9)]
+        cells += [_number(row.paper.mparameters, 2), _number(None if parameters is None else parameters / 1e6, 2)]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ajna.sim.benchmark import EXPERIMENTS, Row, as_markdown, rows_of
+from ajna.sim.benchmark import EXPERIMENTS, Row, as_markdown, cost_of, rows_of
 from ajna.sim.statistics import summarize
 from ajna.sim.trials import stored_trials, write_json
 
@@ -24,7 +24,8 @@ _INTRODUCTION = """## Simulation: reference methods, and Ajna beside them
 What flies and how it is measured stands in [simulation](simulation.md). Columns "paper" are the paper's figures, of
 its own scenes and vehicle; columns "ours" are measured in the simulated worlds, with a 95 % bootstrap interval over the
 trials (without width where all trials agree). A dash: not given, or does not apply. Ours are stand-ins in part: OccMask
-and GapFlyt run on OpenCV's DIS flow, MorphEyes on semi-global matching, D435i is a model of the sensor.
+and GapFlyt run on OpenCV's DIS flow, MorphEyes on semi-global matching, D435i is a model of the sensor. FLOPs and
+parameters are a network's, at 320x240 (2 FLOPs per multiply-accumulate).
 
 ```sh
 ajna bench WORLD --trials 50 --out flights      # for each world; goes on where it stopped
@@ -47,6 +48,7 @@ def collect(out: Path) -> dict[str, list[Row]]:
             results, flown = stored_trials(out, experiment, row.method)
             if results:
                 row.measured = summarize(results)
+                row.cost = cost_of(row.method)
                 row.measured["seeds"] = [results[0].seed, results[-1].seed]
                 row.measured["flown"] = {
                     key: sorted({one[key] for one in flown if key in one}) for key in ("date", "machine")
