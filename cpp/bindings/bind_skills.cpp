@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT
 #include <pybind11/functional.h>
+#include <pybind11/stl.h>
 
 #include <memory>
 #include <mutex>
@@ -174,6 +175,7 @@ void bind_options(py::module_& m) {
   AJNA_FIELD(settle_s);
   AJNA_FIELD(rest_m_s);
   AJNA_FIELD(rest_rad);
+  AJNA_FIELD(fewest_pairs);
   AJNA_FIELD(first_look_s);
   AJNA_FIELD(last_look_s);
   AJNA_FIELD(slew_m_s2);
@@ -231,7 +233,12 @@ void bind_skills(py::module_& m) {
       .def_readonly("status", &SkillOutput::status)
       .def_readonly("decided", &SkillOutput::decided)
       .def_readonly("point_px", &SkillOutput::point_px)
-      .def_property_readonly("mask", [](const SkillOutput& self) { return to_mask(self.mask); });
+      .def_property_readonly("mask", [](const SkillOutput& self) { return to_mask(self.mask); })
+      .def_property_readonly("map",
+                             [](const SkillOutput& self) -> py::object {
+                               return self.map.empty() ? py::none() : py::object(mat_to_numpy(self.map));
+                             })
+      .def_readonly("details", &SkillOutput::details);
   const auto plan = [](Skill& self, double time_s, const std::optional<py::array>& frame,
                        const std::optional<Matrix3d>& rotation, double yaw_rad, const std::optional<Vector3d>& velocity,
                        const std::optional<Vector3d>& goal, double too_high_m, py::object tag) {

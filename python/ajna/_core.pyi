@@ -913,6 +913,7 @@ class SkillOptions:
     settle_s: float
     rest_m_s: float
     rest_rad: float
+    fewest_pairs: int
     first_look_s: float
     last_look_s: float
     slew_m_s2: float
@@ -923,6 +924,10 @@ class SkillOutput:
     def command(self) -> Command: ...
     @property
     def decided(self) -> bool: ...
+    @property
+    def details(self) -> DodgeResult | NavigateResult | GapResult | None: ...
+    @property
+    def map(self) -> NDArray[np.float32] | None: ...
     @property
     def mask(self) -> NDArray[np.bool_] | None: ...
     @property

@@ -9,6 +9,7 @@
 #include <opencv2/imgproc.hpp>
 #include <string>
 #include <utility>
+#include <variant>
 #include <vector>
 
 #include "ajna/base/error.hpp"
@@ -223,6 +224,36 @@ TEST_F(SkillTest, GapVelocityChangesInSteps) {
     EXPECT_LE((output.command.velocity_m_s - last).norm(), 0.2 + 1e-9) << "2 m/s^2 at 10 Hz";
     last = output.command.velocity_m_s;
   }
+}
+
+TEST_F(SkillTest, OutputsHaveTheMapAndWhatThePipelineSaid) {
+  draw(100, 12);
+  const auto dodge = make(Task::kDodge);
+  const auto first = dodge->plan(at(0.0));
+  EXPECT_TRUE(first.map.empty());
+  EXPECT_TRUE(std::holds_alternative<std::monostate>(first.details)) << "there was no pair";
+  const auto second = dodge->plan(at(0.05));
+  EXPECT_EQ(cv::norm(second.map, map, cv::NORM_INF), 0.0);
+  EXPECT_EQ(second.status, to_string(std::get<tasks::DodgeResult>(second.details).status));
+
+  const auto navigate = make(Task::kNavigate);
+  SkillInput blind = at(0.0);
+  blind.attitude.reset();
+  navigate->plan(blind);
+  blind.captured_s = 0.1;
+  EXPECT_TRUE(std::holds_alternative<tasks::NavigateResult>(navigate->plan(blind).details));
+  EXPECT_TRUE(std::holds_alternative<std::monostate>(navigate->plan(at(0.2)).details))
+      << "with attitude and velocity a corridor is chosen, not a free space";
+
+  SkillOptions few;
+  few.task = Task::kGap;
+  few.settle_s = few.first_look_s = 0.0;
+  few.fewest_pairs = 1;
+  const auto gap = make_skill(few, signal());
+  EXPECT_EQ(std::get<tasks::GapResult>(gap->plan(at(0.0)).details).pairs, 0);
+  const auto looked = gap->plan(at(0.05));
+  EXPECT_EQ(std::get<tasks::GapResult>(looked.details).pairs, 1);
+  EXPECT_FALSE(looked.map.empty());
 }
 
 TEST_F(SkillTest, FramesOfAnotherSizeAreNoPair) {

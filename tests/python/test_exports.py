@@ -156,6 +156,8 @@ def test_bfloat16_script_runs_in_the_engine(tmp_path: Path, checkpoint: Path, mo
     assert small < large
     loaded = ajna.load(report.files[0])
     assert (loaded.info.name, loaded.info.format, loaded.info.flow_scale) == ("random", "torchscript", 3.0)
+    assert loaded.info.precision == "bfloat16" and "bfloat16" in repr(loaded)
+    assert ajna.load(checkpoint).info.precision == "float32"
     first, second = (frame[:-3, :-5] for frame in frame_pair)  # a size that must be padded
     mine, theirs = ajna.load(checkpoint)(first, second), loaded(first, second)
     for name in ("flow", "uncertainty", "expected_error"):

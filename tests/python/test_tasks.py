@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 io = pytest.importorskip("ajna.io", reason="needs the build with vision (AJNA_WITH_VISION=ON)", exc_type=ImportError)
 
+import ajna  # noqa: E402
 from ajna import synth, task_overlays, tasks  # noqa: E402
 from ajna.cli import main  # noqa: E402
 from ajna.model import models  # noqa: E402
@@ -301,6 +302,34 @@ def test_task_takes_images_one_by_one(folder: Path, tmp_path: Path, tiny_checkpo
     assert io.read_image(out / "frame_0001.png").shape[1] == 2 * 2 * 320  # 320x240 unless --size says otherwise
 
 
+def test_task_dodges_as_the_skill_that_is_flown(tmp_path: Path, tiny_checkpoint: Path) -> None:
+    """Each line says what tasks.Skill says of the frame: its pairs span more than neighbours do."""
+    frames = [texture(index) for index in range(8)]
+    names = []
+    for index, frame in enumerate(frames):
+        names.append(str(tmp_path / f"{index}.png"))
+        io.write_image(names[-1], frame)
+    out = tmp_path / "out"
+    assert main(["task", "dodge", *names, "--out", str(out), "--model", str(tiny_checkpoint)]) == 0
+    lines = [json.loads(line) for line in (out / "commands.jsonl").read_text().splitlines()]
+
+    options = tasks.SkillOptions()
+    options.task, options.horizontal_fov_rad = "dodge", np.deg2rad(69.0)
+    seen = []
+    network = tasks.NetworkSignal(ajna.load(tiny_checkpoint).engine, options.horizontal_fov_rad)
+
+    def signal(first: tasks.Snapshot, second: tasks.Snapshot, common: str) -> NDArray[np.float32]:
+        seen.append(first.time_s - second.time_s)
+        return network(first, second, common)
+
+    skill = tasks.Skill(options, signal)
+    outputs = [skill.plan(index * FRAME, frame) for index, frame in enumerate(frames)][1:]
+    assert [line["status"] for line in lines] == [output.status for output in outputs]
+    assert [line["command"] for line in lines] == [tasks.command_dict(output.command) for output in outputs]
+    np.testing.assert_allclose(seen, [FRAME * span for span in (1, 2, 3, 4, 5, 5, 5)], atol=1e-9)
+    assert all(output.map.shape == SIZE and output.details.status == output.status for output in outputs)
+
+
 Refused = Callable[..., str]
 
 
@@ -325,6 +354,7 @@ def test_task_refuses_what_it_cannot_do(folder: Path, tmp_path: Path, tiny_check
     (folder / "alone").mkdir()
     io.write_image(folder / "alone" / "0.png", np.zeros((48, 64, 3), np.uint8))
     assert "two frames or more" in refused("task", "segment", folder / "alone", *rest)
+    assert "too few to dodge: give 2 or more (--fps)" in refused("task", "dodge", folder, *rest, "--fps", 1)
     assert not out.exists()
 
 

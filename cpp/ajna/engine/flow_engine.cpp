@@ -186,7 +186,7 @@ FlowEngine FlowEngine::load(const std::string& path, const EngineOptions& option
                 path,
                 is_checkpoint ? "checkpoint" : "torchscript",
                 impl->device.str(),
-                options.bfloat16 ? "bfloat16" : "float32",
+                model.precision,
                 metadata.loss,
                 metadata.flow_scale,
                 nn::count_parameters(metadata.net),

@@ -15,6 +15,9 @@
 namespace ajna::engine {
 namespace {
 
+constexpr const char* kFloat32 = "float32";
+constexpr const char* kBfloat16 = "bfloat16";
+
 class CheckpointPredictor : public Predictor {
  public:
   CheckpointPredictor(const nn::FlowNetImpl& net, const nn::Metadata& metadata, torch::Device device,
@@ -70,7 +73,7 @@ LoadedModel load_checkpoint_model(const std::string& path, torch::Device device,
   }
   auto predictor = std::make_unique<CheckpointPredictor>(*checkpoint.net, checkpoint.metadata, device,
                                                          bfloat16 ? torch::kBFloat16 : torch::kFloat32);
-  return {std::move(predictor), std::move(checkpoint.metadata)};
+  return {std::move(predictor), std::move(checkpoint.metadata), bfloat16 ? kBfloat16 : kFloat32};
 }
 
 LoadedModel load_torchscript_model(const std::string& path, torch::Device device) {
@@ -82,7 +85,7 @@ LoadedModel load_torchscript_model(const std::string& path, torch::Device device
     throw_invalid("'" + path + "' is not a regular file" + remedy);
   }
   torch::jit::Module script;
-  torch::jit::ExtraFilesMap files{{nn::kScriptMetadataFile, ""}};
+  torch::jit::ExtraFilesMap files{{nn::kScriptMetadataFile, ""}, {nn::kScriptPrecisionFile, kFloat32}};
   try {
     script = torch::jit::load(path, device, files);
   } catch (const std::exception&) {
@@ -93,6 +96,11 @@ LoadedModel load_torchscript_model(const std::string& path, torch::Device device
     throw_invalid("'" + path + "' is a TorchScript file but not one of Ajna's" + remedy);
   }
   LoadedModel model;
+  model.precision = files[nn::kScriptPrecisionFile];
+  if (model.precision != kFloat32 && model.precision != kBfloat16) {
+    throw_invalid("'" + path + "' is said to run in '" + model.precision + "', which this version does not know" +
+                  remedy);
+  }
   try {
     model.metadata = nn::metadata_from_strings(nn::parse_string_map(files[nn::kScriptMetadataFile]));
   } catch (const Error& error) {

@@ -26,6 +26,7 @@ class Predictor {
 struct LoadedModel {
   std::unique_ptr<Predictor> predictor;
   nn::Metadata metadata;
+  std::string precision;  ///< in which the network runs: "float32" or "bfloat16"
 };
 
 /// Both throw Error as FlowEngine::load does.

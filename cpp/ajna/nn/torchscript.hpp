@@ -9,6 +9,8 @@ namespace ajna::nn {
 
 /// Name of the extra file inside an exported script: metadata_to_strings() as a flat JSON object, calibration included.
 inline constexpr const char* kScriptMetadataFile = "ajna.json";
+/// Beside it where the network does not run in float32: "bfloat16".
+inline constexpr const char* kScriptPrecisionFile = "ajna_precision.txt";
 
 /// Write `net` as a frozen TorchScript file that needs nothing of Ajna to run, with two methods:
 ///   forward(x: [N, 6, H, W] float in [-1, 1]) -> [N, 4, H, W], what FlowNet::forward gives in eval mode;

@@ -54,7 +54,9 @@ class DodgeSkill final : public Skill {
     }
     const SignalMap seen = signal_(now, *before, CommonMotion::kRotation);
     output.flow = seen.flow;
-    const auto result = pipeline_.step(seen.map, now.captured_s, turning(now));
+    output.map = seen.map;
+    output.details = pipeline_.step(seen.map, now.captured_s, turning(now));
+    const auto& result = std::get<tasks::DodgeResult>(output.details);
     output.status = tasks::to_string(result.status);
     output.command = policy_.update(result.safe_direction, now.captured_s);
     output.decided = policy_.dodging() && !decided_;

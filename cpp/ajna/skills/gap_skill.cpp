@@ -15,13 +15,12 @@ namespace {
 constexpr double kLongestStep_s = 0.25;  ///< a longer pause does not let the commanded velocity jump
 
 tasks::GapOptions pipeline_options(const SkillOptions& options) {
-  constexpr int kFewestPairs = 3;
   const auto plans = [&](double duration_s) {
-    return std::max(kFewestPairs, static_cast<int>(std::lround(duration_s * options.planning_rate_hz)));
+    return std::max(options.fewest_pairs, static_cast<int>(std::lround(duration_s * options.planning_rate_hz)));
   };
   tasks::GapOptions gap = options.gap;
   gap.min_pairs = plans(options.first_look_s);
-  gap.max_pairs = std::max(plans(options.last_look_s), gap.min_pairs + kFewestPairs);
+  gap.max_pairs = std::max(plans(options.last_look_s), gap.min_pairs + options.fewest_pairs);
   return gap;
 }
 
@@ -98,7 +97,9 @@ class GapSkill final : public Skill {
     reference_ = snapshot_of(input);
     pipeline_.reset();
     policy_.reset();
-    output.status = tasks::to_string(pipeline_.step(input.frame, {}, input.captured_s).status);
+    auto result = pipeline_.step(input.frame, {}, input.captured_s);
+    output.status = tasks::to_string(result.status);
+    output.details = std::move(result);
     output.command = wobble(0.0);
     return output;
   }
@@ -115,6 +116,7 @@ class GapSkill final : public Skill {
       SignalMap seen = signal_(*reference_, now, CommonMotion::kPlane);
       map = seen.map;
       output.flow = seen.flow;
+      output.map = map;
     }
     tasks::Alignment stable;
     ImageView frame = input.frame;
@@ -124,7 +126,8 @@ class GapSkill final : public Skill {
       frame = {stable.image.data, stable.image.cols, stable.image.rows, 3,
                static_cast<std::ptrdiff_t>(stable.image.step[0])};
     }
-    const auto result = pipeline_.step(frame, map, input.captured_s);
+    output.details = pipeline_.step(frame, map, input.captured_s);
+    const auto& result = std::get<tasks::GapResult>(output.details);
     output.status = tasks::to_string(result.status);
     output.command = command(result, input);
     if (result.status == tasks::GapStatus::kTracking) {

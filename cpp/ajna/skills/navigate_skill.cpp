@@ -77,6 +77,7 @@ class NavigateSkill final : public Skill {
     }
     const SignalMap seen = signal_(now, *before, CommonMotion::kRotation);
     output.flow = seen.flow;
+    output.map = seen.map;
     if (input.attitude && input.velocity_m_s) {
       const bool blurred = before->attitude && turn_between(*before->attitude, attitude) >
                                                    options_.max_turn_rad_s * (now.captured_s - before->captured_s);
@@ -88,7 +89,8 @@ class NavigateSkill final : public Skill {
       }
       return output;
     }
-    const auto result = pipeline_.step(seen.map, now.captured_s, camera_from_heading(attitude, goal));
+    output.details = pipeline_.step(seen.map, now.captured_s, camera_from_heading(attitude, goal));
+    const auto& result = std::get<tasks::NavigateResult>(output.details);
     output.status = tasks::to_string(result.status);
     output.mask = result.steps.mask;
     std::optional<control::Guidance> guidance;

@@ -63,7 +63,8 @@ void validate(const SkillOptions& options) {
   between(options.settle_s, 0.0, 10.0, "settle_s");
   between(options.rest_m_s, 0.01, 2.0, "rest_m_s");
   between(options.rest_rad, 0.01, 0.5, "rest_rad");
-  between(options.first_look_s, 0.05, 5.0, "first_look_s");
+  between(options.fewest_pairs, 1, 100, "fewest_pairs");
+  between(options.first_look_s, 0.0, 5.0, "first_look_s");
   between(options.last_look_s, options.first_look_s, 10.0, "last_look_s");
   between(options.slew_m_s2, 0.1, 50.0, "slew_m_s2");
   SkillOptions other = options;

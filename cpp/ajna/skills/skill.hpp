@@ -7,6 +7,7 @@
 #include <opencv2/core.hpp>
 #include <optional>
 #include <string>
+#include <variant>
 
 #include "ajna/control/command.hpp"
 #include "ajna/control/policies.hpp"
@@ -44,7 +45,8 @@ struct SkillOptions {
   double height_gain = 0.4;  ///< downward part of the direction per metre too high; only level directions are followed
   double largest_slope = 0.3;  ///< of that part
 
-  tasks::GapOptions gap;  ///< min_pairs and max_pairs follow from first_look_s and last_look_s
+  tasks::GapOptions gap;  ///< min_pairs and max_pairs follow from first_look_s and last_look_s ...
+  int fewest_pairs = 3;   ///< ... but for a slow camera
   control::GapPolicyOptions gap_policy;
   control::ExploreOptions explore;  ///< as long as the pipeline wants it: duration_s is not used
   double settle_s = 0.3;            ///< of hovering before the exploratory motion
@@ -77,6 +79,12 @@ struct SkillOutput {
   cv::Mat mask;                             ///< CV_8U, 0 or 255, in this frame: obstacle, what is near, gap; or empty
   std::optional<Eigen::Vector2d> point_px;  ///< in this frame: the obstacle, the safe direction, the safe point
   std::optional<FlowSummary> flow;          ///< where the network ran
+
+  /// For pictures: the map that was looked at, CV_32F on the grid of its pair's first frame (this one, but for gap: the
+  /// one that the exploration began with); empty where there was no pair.
+  cv::Mat map;
+  /// What the pipeline said, where one was asked; of gap in the frame without roll and pitch.
+  std::variant<std::monostate, tasks::DodgeResult, tasks::NavigateResult, tasks::GapResult> details;
 };
 
 /// One task, with the frames it remembers. Used by one thread. Frames come in order.

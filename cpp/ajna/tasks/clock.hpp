@@ -25,13 +25,20 @@ class FrameClock {
     const FrameOrder order = !last_s_                         ? FrameOrder::kFirst
                              : time_s - *last_s_ > max_gap_s_ ? FrameOrder::kAfterGap
                                                               : FrameOrder::kNext;
+    interval_s_ = last_s_ ? time_s - *last_s_ : 0.0;
     last_s_ = time_s;
     return order;
   }
-  void reset() noexcept { last_s_.reset(); }
+  /// From the frame before the last one in order to that one; 0 where there is none.
+  [[nodiscard]] double interval_s() const noexcept { return interval_s_; }
+  void reset() noexcept {
+    last_s_.reset();
+    interval_s_ = 0.0;
+  }
 
  private:
   double max_gap_s_;
+  double interval_s_ = 0.0;
   std::optional<double> last_s_;
 };
 

@@ -56,6 +56,14 @@ TrackPoint measure(const cv::Mat& mask, double time_s) {
 
 }  // namespace
 
+struct DodgePipeline::Motion {
+  explicit Motion(const std::vector<TrackPoint>& track)
+      : x(fit_line(track, [](const TrackPoint& p) { return p.center_px.x; })),
+        y(fit_line(track, [](const TrackPoint& p) { return p.center_px.y; })),
+        diameter(fit_line(track, [](const TrackPoint& p) { return p.diameter_px; })) {}
+  LineFit x, y, diameter;
+};
+
 const char* to_string(DodgeStatus status) noexcept {
   switch (status) {
     case DodgeStatus::kNoObstacle:
@@ -178,8 +186,7 @@ DodgeResult DodgePipeline::step(const cv::Mat& map, double time_s,
     track_.clear();
   }
   const bool turned = angular_velocity_rad_s && angular_velocity_rad_s->allFinite() && order == FrameOrder::kNext;
-  result.steps = find(map, time_s, turned ? angular_velocity_rad_s->norm() * (time_s - last_s_) : 0.0);
-  last_s_ = time_s;
+  result.steps = find(map, time_s, turned ? angular_velocity_rad_s->norm() * clock_.interval_s() : 0.0);
   if (result.steps.status == MapStatus::kInvalidInput) {
     track_.clear();
     result.status = DodgeStatus::kInvalidInput;
@@ -216,28 +223,25 @@ DodgeResult DodgePipeline::step(const cv::Mat& map, double time_s,
   }
   result.track = track_;
   result.status = DodgeStatus::kDetected;
-  if (confirmed(map.size())) {
-    predict(result, map.size());
+  if (const Motion motion(track_); confirmed(motion, map.size())) {
+    predict(motion, result, map.size());
   }
   return result;
 }
 
-bool DodgePipeline::confirmed(const cv::Size& size) const {
+bool DodgePipeline::confirmed(const Motion& motion, const cv::Size& size) const {
   if (static_cast<int>(track_.size()) < options_.confirm_frames) {
     return false;
   }
   const double span_s = track_.back().time_s - track_.front().time_s;
-  const double x = fit_line(track_, [](const TrackPoint& p) { return p.center_px.x; }).slope;
-  const double y = fit_line(track_, [](const TrackPoint& p) { return p.center_px.y; }).slope;
-  return span_s >= options_.confirm_s || std::hypot(x, y) * span_s > options_.min_move * size.height;
+  const double moved_px = std::hypot(motion.x.slope, motion.y.slope) * span_s;
+  return span_s >= options_.confirm_s || moved_px > options_.min_move * size.height;
 }
 
-void DodgePipeline::predict(DodgeResult& result, const cv::Size& size) const {
-  const LineFit x = fit_line(track_, [](const TrackPoint& p) { return p.center_px.x; });
-  const LineFit y = fit_line(track_, [](const TrackPoint& p) { return p.center_px.y; });
-  const LineFit size_px = fit_line(track_, [](const TrackPoint& p) { return p.diameter_px; });
-  result.velocity_px_s = {x.slope, y.slope};
-  const double growth_per_s = size_px.last > 0.0 ? size_px.slope / size_px.last : 0.0;  // 1 / t_c
+void DodgePipeline::predict(const Motion& motion, DodgeResult& result, const cv::Size& size) const {
+  const LineFit& diameter = motion.diameter;
+  result.velocity_px_s = {motion.x.slope, motion.y.slope};
+  const double growth_per_s = diameter.last > 0.0 ? diameter.slope / diameter.last : 0.0;  // 1 / t_c
   result.contact_from_growth = growth_per_s >= options_.min_growth_per_s;
   result.time_to_contact_s =
       result.contact_from_growth ? std::min(1.0 / growth_per_s, 2.0 * options_.horizon_s) : options_.horizon_s;
@@ -248,7 +252,7 @@ void DodgePipeline::predict(DodgeResult& result, const cv::Size& size) const {
   Eigen::Vector2d away = -miss.cwiseProduct(counted);
   if (away.norm() < options_.direct_hit * size.height) {
     // A direct hit has no side. Across the line of sight, away from where the thing is; straight ahead: to the right.
-    const Eigen::Vector2d seen = (Eigen::Vector2d(x.last, y.last) - center).cwiseProduct(counted);
+    const Eigen::Vector2d seen = (Eigen::Vector2d(motion.x.last, motion.y.last) - center).cwiseProduct(counted);
     away = seen.norm() < 1.0 ? Eigen::Vector2d::UnitX() : Eigen::Vector2d(-seen);
   }
   result.safe_direction = away.normalized();

@@ -85,15 +85,15 @@ class DodgePipeline {
   [[nodiscard]] const DodgeOptions& options() const noexcept { return options_; }
 
  private:
-  [[nodiscard]] bool confirmed(const cv::Size& size) const;
-  void predict(DodgeResult& result, const cv::Size& size) const;
+  struct Motion;  ///< of what is tracked
+  [[nodiscard]] bool confirmed(const Motion& motion, const cv::Size& size) const;
+  void predict(const Motion& motion, DodgeResult& result, const cv::Size& size) const;
   MapSteps find(const cv::Mat& map, double time_s, double turned_rad);
   std::optional<Region> choose(const MapSteps& steps, double time_s) const;
 
   DodgeOptions options_;
   FrameClock clock_;
   MapBackground background_;
-  double last_s_ = 0.0;
   double least_ = 0.0;  ///< mean of a region that counts, in units of the last map
   std::vector<TrackPoint> track_;
 };

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 COMMANDS_FILE = "commands.jsonl"
 VIDEO_FILE = "overlay.mp4"
+SLOWEST_HZ = 2.0  # frames further apart are no pairs
 _IMAGES = {".png", ".jpg", ".jpeg", ".bmp", ".ppm", ".pgm"}
 
 SkillArgument = Annotated[
@@ -55,23 +56,17 @@ def task(
 
     Writes one overlay picture per pair (frame_0001.png, ...) and commands.jsonl: per line frame, time, status, what was
     found, and the command for the autopilot (body frame: forward, right, down; none for segment, which is perception
-    only). dodge, navigate and segment take neighbouring frames as pairs; gap pairs every frame with the first, until it
-    has found one.
+    only). dodge and navigate take pairs as in flight, which span up to 0.17 and 0.1 s; segment takes neighbouring
+    frames; gap pairs every frame with the first, until it has found one.
 
     Example: ajna task dodge ball/*.png --out dodged --video
     """
-    from ajna import _core
+    from ajna import _core, tasks
 
-    skills: dict[str, Callable[..., Iterator[Answer]]] = {
-        "dodge": _dodge,
-        "navigate": _navigate,
-        "gap": _gap,
-        "segment": _segment,
-    }
-    if skill not in skills:
-        near = _core.nearest_name(skill, list(skills))
+    if skill not in tasks.SKILLS:
+        near = _core.nearest_name(skill, list(tasks.SKILLS))
         hint = f", did you mean '{near}'?" if near else ""
-        raise ValueError(f"unknown skill '{skill}'{hint} Known: {', '.join(skills)}")
+        raise ValueError(f"unknown skill '{skill}'{hint} Known: {', '.join(tasks.SKILLS)}")
     target_size = parse_size(size)
 
     import ajna
@@ -81,13 +76,17 @@ def task(
     check_folder(out)
     rate, stamped = _frames(frames, fps, target_size)
     network = ajna.load(model, device=device, threads=threads)
+    fov_rad = math.radians(fov)
+    answers = (
+        _segment(stamped, network, fov_rad) if skill == "segment" else _fly(skill, stamped, network, fov_rad, rate)
+    )
     counts: dict[str, int] = {}
     with staged_folder(out) as stage:
         writer: Any = None
         pictures = 0
         try:
             with (stage / COMMANDS_FILE).open("w", encoding="utf-8") as lines:
-                for pictures, (picture, line) in enumerate(skills[skill](stamped, network, math.radians(fov)), start=1):
+                for pictures, (picture, line) in enumerate(answers, start=1):
                     io.write_image(stage / f"frame_{pictures:04d}.png", picture)
                     lines.write(json.dumps({"skill": skill, **line}) + "\n")
                     counts[line["status"]] = counts.get(line["status"], 0) + 1
@@ -141,14 +140,6 @@ def _frames(sources: list[str], fps: float | None, size: tuple[int, int] | None)
     )
 
 
-def _pairs(stamped: Iterator[Stamped]) -> Iterator[tuple[Stamped, Stamped]]:
-    before: Stamped | None = None
-    for frame in stamped:
-        if before is not None:
-            yield before, frame
-        before = frame
-
-
 def _line(name: str, time_s: float, status: str, command: Any, **found: Any) -> dict[str, Any]:
     from ajna import tasks
 
@@ -162,91 +153,75 @@ def _point(vector: Any) -> list[float] | None:
     return None if vector is None else [round(float(value), 3) for value in vector]
 
 
-def _dodge(stamped: Iterator[Stamped], network: Any, fov_rad: float) -> Iterator[Answer]:
-    from ajna import task_overlays, tasks
+def _skill(task: str, fov_rad: float, rate_hz: float, network: Any) -> Any:
+    """The skill as it is flown, for frames of which nothing but the time is known."""
+    from ajna import tasks
 
-    options = tasks.DodgeOptions()
+    if rate_hz < SLOWEST_HZ:
+        raise ValueError(f"{rate_hz:g} frames per second are too few to {task}: give {SLOWEST_HZ:g} or more (--fps)")
+    options = tasks.SkillOptions()
+    options.task = task
     options.horizontal_fov_rad = fov_rad
-    pipeline, policy = tasks.DodgePipeline(options), tasks.DodgePolicy()
-    for (_, _, first), (time_s, name, second) in _pairs(stamped):
-        uncertainty = network(first, second, time_s).uncertainty
-        result = pipeline.step(uncertainty, time_s)
-        command = policy.update(result.safe_direction, time_s)
-        incoming = result.status == "incoming"
-        found = {
-            "center_px": _point(result.track[-1].center_px) if result.region else None,
-            "box": list(result.region.box) if result.region else None,
-            "velocity_px_s": _point(result.velocity_px_s) if incoming else None,
-            "impact_px": _point(result.impact_px) if incoming else None,
-            "time_to_contact_s": round(result.time_to_contact_s, 4) if incoming else None,
-            "safe_direction": _point(result.safe_direction),
-        }
-        yield (
-            task_overlays.dodge_overlay(first, uncertainty, result, command),
-            _line(name, time_s, result.status, command, **found),
-        )
+    options.planning_rate_hz = min(rate_hz, 200.0)
+    options.max_interval_s = max(options.max_interval_s, 1.5 / rate_hz)
+    # Recorded frames may be few, and do not begin with a vehicle that comes to rest.
+    options.settle_s, options.first_look_s, options.fewest_pairs = 0.0, 0.0, 1
+    return tasks.Skill(options, tasks.NetworkSignal(network.engine, fov_rad))
 
 
-def _navigate(stamped: Iterator[Stamped], network: Any, fov_rad: float) -> Iterator[Answer]:
-    from ajna import task_overlays, tasks
+def _fly(task: str, stamped: Iterator[Stamped], network: Any, fov_rad: float, rate_hz: float) -> Iterator[Answer]:
+    """Overlay and line of every frame that a pair ends with."""
+    from ajna import task_overlays
 
-    options = tasks.NavigateOptions()
-    options.horizontal_fov_rad = fov_rad
-    pipeline, policy = tasks.NavigatePipeline(options), tasks.NavigatePolicy()
-    for (_, _, first), (time_s, name, second) in _pairs(stamped):
-        uncertainty = network(first, second, time_s).uncertainty
-        result = pipeline.step(uncertainty, time_s)
-        command = policy.update(tasks.guidance(result), time_s)
-        found = {
-            "weight": round(result.weight, 4),
-            "goal_px": _point(result.goal_px),
-            "safe_px": _point(result.free_px) if result.status == "ok" else None,
-            "goal_direction": _point(result.goal_direction),
-            "free_direction": _point(result.free_direction) if result.status == "ok" else None,
-        }
-        yield (
-            task_overlays.navigate_overlay(first, uncertainty, result, command),
-            _line(name, time_s, result.status, command, **found),
-        )
-
-
-def _gap(stamped: Iterator[Stamped], network: Any, fov_rad: float) -> Iterator[Answer]:
-    from ajna import task_overlays, tasks
-
-    options = tasks.GapOptions()
-    options.min_pairs = 1  # recorded frames may be few; a vehicle stacks more before it looks
-    pipeline, policy = tasks.GapPipeline(options, fov_rad), tasks.GapPolicy()
-    explore = tasks.ExploreOptions()
-    reference: Any = None
-    shown: Any = None  # the last stacked map: while tracking there is no new one
+    told_and_drawn: dict[str, tuple[Callable[[Any], dict[str, Any]], Callable[..., NDArray[np.uint8]]]] = {
+        "dodge": (_dodge, task_overlays.dodge_overlay),
+        "navigate": (_navigate, task_overlays.navigate_overlay),
+        "gap": (_gap, task_overlays.gap_overlay),
+    }
+    tell, draw = told_and_drawn[task]
+    skill = _skill(task, fov_rad, rate_hz, network)
+    shown: Any = None  # the last map: while a gap is tracked there is no new one
     for index, (time_s, name, frame) in enumerate(stamped):
-        uncertainty = None
-        if pipeline.wants_map:
-            # Without the motion of the wall: what is seen through the gap then moves before a wall at rest.
-            aligned = tasks.align_to(reference, frame)
-            uncertainty = aligned.within(network(reference, aligned.image, time_s).uncertainty)
-        result = pipeline.step(frame, uncertainty, time_s)
-        shown = shown if result.stacked is None else result.stacked
-        if index == 0 or result.status == "no_gap":
-            reference = frame
-        if index == 0:
+        output = skill.plan(time_s, frame)
+        result = output.details
+        if index == 0 or result is None:
             continue
-        if result.status in ("exploring", "no_gap"):
-            command = tasks.explore(explore, time_s)
-        else:
-            offset = result.safe_offset if result.status == "tracking" else None
-            command = policy.update(offset, result.status == "through", time_s)
-        tracking = result.status == "tracking"
-        found = {
-            "pairs": result.pairs,
-            "safe_px": _point(result.safe_px) if tracking else None,
-            "safe_offset": _point(result.safe_offset) if tracking else None,
-            "side": result.side if tracking else None,
-        }
-        yield (
-            task_overlays.gap_overlay(frame, shown, result, command),
-            _line(name, time_s, result.status, command, **found),
-        )
+        stacked = result.stacked if task == "gap" else output.map
+        shown = shown if stacked is None else stacked
+        found = tell(result)
+        yield draw(frame, shown, result, output.command), _line(name, time_s, output.status, output.command, **found)
+
+
+def _dodge(result: Any) -> dict[str, Any]:
+    incoming = result.status == "incoming"
+    return {
+        "center_px": _point(result.track[-1].center_px) if result.region else None,
+        "box": list(result.region.box) if result.region else None,
+        "velocity_px_s": _point(result.velocity_px_s) if incoming else None,
+        "impact_px": _point(result.impact_px) if incoming else None,
+        "time_to_contact_s": round(result.time_to_contact_s, 4) if incoming else None,
+        "safe_direction": _point(result.safe_direction),
+    }
+
+
+def _navigate(result: Any) -> dict[str, Any]:
+    return {
+        "weight": round(result.weight, 4),
+        "goal_px": _point(result.goal_px),
+        "safe_px": _point(result.free_px) if result.status == "ok" else None,
+        "goal_direction": _point(result.goal_direction),
+        "free_direction": _point(result.free_direction) if result.status == "ok" else None,
+    }
+
+
+def _gap(result: Any) -> dict[str, Any]:
+    tracking = result.status == "tracking"
+    return {
+        "pairs": result.pairs,
+        "safe_px": _point(result.safe_px) if tracking else None,
+        "safe_offset": _point(result.safe_offset) if tracking else None,
+        "side": result.side if tracking else None,
+    }
 
 
 def _segment(stamped: Iterator[Stamped], network: Any, fov_rad: float) -> Iterator[Answer]:
@@ -254,18 +229,20 @@ def _segment(stamped: Iterator[Stamped], network: Any, fov_rad: float) -> Iterat
 
     from ajna import task_overlays, tasks
 
-    for (_, _, first), (time_s, name, second) in _pairs(stamped):
+    signal = tasks.NetworkSignal(network.engine, fov_rad)
+    before: Any = None
+    for time_s, name, frame in stamped:
+        first, before = before, tasks.Snapshot(time_s, frame, tag=frame)
+        if first is None:
+            continue
         # Without the motion of the table: what stands on it then moves before a table at rest.
-        aligned = tasks.align_to(first, second)
-        uncertainty = aligned.within(network(first, aligned.image, time_s).uncertainty)
-        result = tasks.segment_pile(first, uncertainty)
+        uncertainty = signal(first, before, "plane")
+        result = tasks.segment_pile(first.tag, uncertainty)
         done = result.status == "ok"
         found = {
             "box": list(result.box) if done else None,
             "attention_px": int(np.count_nonzero(np.asarray(result.attention))) if done else 0,
             "segmentation_px": int(np.count_nonzero(np.asarray(result.segmentation))) if done else 0,
         }
-        yield (
-            task_overlays.segment_overlay(first, uncertainty, result),
-            _line(name, time_s, result.status, None, **found),
-        )
+        picture = task_overlays.segment_overlay(first.tag, uncertainty, result)
+        yield picture, _line(name, time_s, result.status, None, **found)

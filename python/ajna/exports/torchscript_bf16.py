@@ -15,7 +15,8 @@ from ajna.exports.graph import exportable, quiet, to_channels_last
 from ajna.exports.record import checkpoint_strings
 from ajna.nn import FlowNet, network_input
 
-METADATA_FILE = "ajna.json"  # where the engine looks: ajna::nn::kScriptMetadataFile
+METADATA_FILE = "ajna.json"  # where the engine looks: ajna::nn::kScriptMetadataFile ...
+PRECISION_FILE = "ajna_precision.txt"  # ... and kScriptPrecisionFile
 
 
 class _Script(nn.Module):
@@ -59,4 +60,5 @@ def write(path: Path, net: FlowNet, metadata: Mapping[str, Any]) -> None:
             ).eval()
         )
         frozen = torch.jit.freeze(script, preserved_attrs=["predict"])
-        torch.jit.save(frozen, str(path), {METADATA_FILE: json.dumps(checkpoint_strings(net, metadata))})
+        files = {METADATA_FILE: json.dumps(checkpoint_strings(net, metadata)), PRECISION_FILE: "bfloat16"}
+        torch.jit.save(frozen, str(path), files)
