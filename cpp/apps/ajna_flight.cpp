@@ -9,6 +9,7 @@
 #include <exception>
 #include <string>
 
+#include "ajna/base/memory.hpp"
 #include "ajna/base/version.hpp"
 #include "apps/fly.hpp"
 #include "apps/frames_report.hpp"
@@ -61,6 +62,7 @@ int run_frames(const Options& options) {
 }  // namespace
 
 int main(int argc, char** argv) {
+  ajna::keep_freed_memory();
   auto logger = spdlog::stderr_color_mt("ajna_flight");
   logger->set_pattern("%n: %^%l%$: %v");
   spdlog::set_default_logger(logger);

@@ -338,7 +338,7 @@ void bind_segment(py::module_& m) {
   AJNA_FIELD(inner);
   AJNA_FIELD(outer);
   AJNA_FIELD(grabcut_iterations);
-  AJNA_FIELD(grabcut_side_px);
+  AJNA_FIELD(side_px);
 #undef AJNA_FIELD
   py::class_<SegmentResult> result(m, "SegmentResult", "Attention and, apart from it, segmentation.");
   def_status(result, "status", &SegmentResult::status);

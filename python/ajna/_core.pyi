@@ -842,13 +842,13 @@ class ScenePreset:
 
 class SegmentOptions:
     grabcut_iterations: int
-    grabcut_side_px: int
     inner: float
     join: float
     map: MapOptions
     method: str
     min_contrast: float
     outer: float
+    side_px: int
     def __init__(self) -> None: ...
 
 class SegmentResult:

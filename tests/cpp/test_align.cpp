@@ -70,6 +70,24 @@ TEST(Align, RotationIsTakenOut) {
   EXPECT_THROW(derotate_frame({}, turn, kFov), Error);
 }
 
+TEST(Align, ValidIsWhereAWhiteFrameWouldBe) {
+  const cv::Mat white(120, 160, CV_8UC3, cv::Scalar::all(255));
+  AlignOptions options;
+  options.margin_px = 0;
+  for (const double angle : {0.0, 0.05, 0.3, 1.2, 2.5}) {
+    const Eigen::Matrix3d turn =
+        (Eigen::AngleAxisd(angle, Eigen::Vector3d::UnitY()) * Eigen::AngleAxisd(0.4 * angle, Eigen::Vector3d::UnitZ()))
+            .toRotationMatrix();
+    const Alignment turned = derotate_frame(view_of(white), turn, kFov, options);
+    cv::Mat expected;
+    cv::warpPerspective(cv::Mat(white.size(), CV_8U, cv::Scalar(255)), expected, cv::Mat(turned.reference_from_frame),
+                        white.size(), cv::INTER_NEAREST);
+    cv::Mat differ;
+    cv::bitwise_xor(expected, turned.valid, differ);
+    EXPECT_LE(cv::countNonZero(differ), 2 * (160 + 120)) << angle << ": but for the rim they agree";
+  }
+}
+
 TEST(Align, WithinGivesTheRestsMedian) {
   cv::Mat map = calm_map(0.4, 0.01);
   cv::Mat valid(map.size(), CV_8U, cv::Scalar(255));

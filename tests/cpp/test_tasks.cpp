@@ -5,6 +5,7 @@
 #include "ajna/base/error.hpp"
 #include "ajna/base/flow_field.hpp"
 #include "ajna/tasks/dodge.hpp"
+#include "ajna/tasks/map_histogram.hpp"
 #include "ajna/tasks/navigate.hpp"
 #include "ajna/tasks/segment.hpp"
 #include "task_maps.hpp"
@@ -37,6 +38,27 @@ TEST(UncertaintyMap, QuantilesOfARamp) {
   for (const double q : {0.0, 0.1, 0.5, 0.99, 1.0}) {
     EXPECT_NEAR(map_quantile(ramp, q), 1000 * q, 1.5) << q;
   }
+  cv::Mat upper(1, 1000, CV_8U, cv::Scalar(0));
+  upper.colRange(600, 1000).setTo(1);
+  EXPECT_EQ(range_of(ramp, upper), std::pair(600.0, 999.0));
+  EXPECT_NEAR(MapHistogram(ramp, upper).quantile(0.5), 800.0, 1.5);
+  EXPECT_EQ(range_of(ramp, cv::Mat::zeros(1, 1000, CV_8U)), std::pair(0.0, 0.0));
+  EXPECT_EQ(map_quantile(cv::Mat(3, 5, CV_32F, cv::Scalar(0.25F)), 0.9), 0.25);
+  ramp.at<float>(0, 3) = std::numeric_limits<float>::infinity();
+  EXPECT_EQ(map_quantile(ramp, 0.5), 0.0) << "no range: the least, and nothing written out of bounds";
+}
+
+TEST(UncertaintyMap, ConvexHullHoldsAllAndNoMore) {
+  EXPECT_TRUE(convex_hull(cv::Mat::zeros(20, 20, CV_8U)).empty());
+  cv::Mat mask = cv::Mat::zeros(60, 80, CV_8U);
+  cv::ellipse(mask, {30, 25}, {20, 8}, 30, 0, 360, 255, 2);
+  mask.at<std::uint8_t>(55, 70) = 255;
+  std::vector<cv::Point> all;
+  cv::findNonZero(mask, all);
+  std::vector<cv::Point> expected;
+  cv::convexHull(all, expected);
+  EXPECT_EQ(cv::contourArea(convex_hull(mask)), cv::contourArea(expected));
+  EXPECT_EQ(cv::boundingRect(convex_hull(mask)), cv::boundingRect(mask));
 }
 
 TEST(UncertaintyMap, EachRuleFindsTheDisc) {

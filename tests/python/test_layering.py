@@ -37,6 +37,7 @@ TABLE: dict[str, tuple[set[str], set[str], tuple[str, ...]]] = {
     "flight": ({"base", "geometry", "io", "engine", "tasks", "control", "skills"}, set(), (*EIGEN, "mavlink/")),
 }
 POSIX = {"dirent.h", "fcntl.h", "sys/stat.h", "sys/types.h", "unistd.h"}
+POSIX |= {"malloc.h"}  # of glibc, where it is there
 POSIX |= {"netdb.h", "netinet/in.h", "netinet/tcp.h", "poll.h", "sched.h", "sys/inotify.h", "sys/socket.h", "termios.h"}
 
 SOURCES = sorted([*CPP.rglob("*.hpp"), *CPP.rglob("*.cpp")])

@@ -2,11 +2,40 @@
 #include "ajna/base/flow_field.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <numeric>
 
 #include "ajna/base/error.hpp"
 
 namespace ajna {
+namespace {
+
+struct Norms {
+  double sum = 0.0;
+  double largest = 0.0;
+};
+
+/// Of vectors (u, v) that lie one after another.
+Norms norms_of(const std::vector<float>& vectors) {
+  constexpr std::size_t kLanes = 8;  // sums that do not wait for each other
+  std::array<double, kLanes> sum{};
+  std::array<float, kLanes> largest{};
+  const std::size_t count = vectors.size() / 2;
+  for (std::size_t begin = 0; begin < count; begin += kLanes) {
+    const std::size_t lanes = std::min(kLanes, count - begin);
+    for (std::size_t k = 0; k < lanes; ++k) {
+      const float u = vectors[2 * (begin + k)];
+      const float v = vectors[2 * (begin + k) + 1];
+      const float norm = std::sqrt(u * u + v * v);
+      sum[k] += norm;
+      largest[k] = std::max(largest[k], norm);
+    }
+  }
+  return {std::accumulate(sum.begin(), sum.end(), 0.0), *std::max_element(largest.begin(), largest.end())};
+}
+
+}  // namespace
 
 FlowInterval FlowField::interval(double p) const {
   if (conformal == nullptr) {
@@ -40,16 +69,12 @@ FlowSummary summarize(const FlowField& field) {
   if (pixels == 0) {
     return summary;
   }
-  for (std::size_t i = 0; i < pixels; ++i) {
-    const double magnitude = std::hypot(field.flow[2 * i], field.flow[2 * i + 1]);
-    summary.mean_flow_px += magnitude;
-    summary.max_flow_px = std::max(summary.max_flow_px, magnitude);
-    summary.mean_uncertainty += std::hypot(field.uncertainty[2 * i], field.uncertainty[2 * i + 1]);
-    summary.mean_expected_error_px += std::hypot(field.expected_error[2 * i], field.expected_error[2 * i + 1]);
-  }
-  summary.mean_flow_px /= static_cast<double>(pixels);
-  summary.mean_uncertainty /= static_cast<double>(pixels);
-  summary.mean_expected_error_px /= static_cast<double>(pixels);
+  const Norms flow = norms_of(field.flow);
+  const auto count = static_cast<double>(pixels);
+  summary.mean_flow_px = flow.sum / count;
+  summary.max_flow_px = flow.largest;
+  summary.mean_uncertainty = norms_of(field.uncertainty).sum / count;
+  summary.mean_expected_error_px = norms_of(field.expected_error).sum / count;
   return summary;
 }
 

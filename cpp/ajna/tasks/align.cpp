@@ -6,11 +6,13 @@
 #include <opencv2/calib3d.hpp>
 #include <opencv2/imgproc.hpp>
 #include <opencv2/video/tracking.hpp>
+#include <utility>
 #include <vector>
 
 #include "ajna/base/error.hpp"
 #include "ajna/geometry/camera.hpp"
 #include "ajna/tasks/frame_mat.hpp"
+#include "ajna/tasks/map_histogram.hpp"
 #include "ajna/tasks/uncertainty_map.hpp"
 
 namespace ajna::tasks {
@@ -49,12 +51,32 @@ Matches track(const cv::Mat& reference, const cv::Mat& frame, const AlignOptions
   return matches;
 }
 
+/// CV_8U: where a picture of `size` lies after a homography, which must leave its corners before the camera.
+cv::Mat seen_part(const cv::Matx33d& homography, const cv::Size& size) {
+  cv::Mat seen(size, CV_8U, cv::Scalar(0));
+  constexpr int kShift = 8;  // bits of a fraction of a pixel
+  std::vector<cv::Point> corners;
+  for (const auto& [x, y] :
+       {std::pair{0, 0}, {size.width - 1, 0}, {size.width - 1, size.height - 1}, {0, size.height - 1}}) {
+    const cv::Vec3d h = homography * cv::Vec3d(x, y, 1.0);
+    if (h[2] < 1e-3) {
+      // A corner behind the camera: the outline is no quadrangle any more.
+      cv::warpPerspective(cv::Mat(size, CV_8U, cv::Scalar(255)), seen, cv::Mat(homography), size, cv::INTER_NEAREST);
+      return seen;
+    }
+    const double limit = 1 << 20;
+    corners.emplace_back(cvRound(std::clamp(h[0] / h[2], -limit, limit) * (1 << kShift)),
+                         cvRound(std::clamp(h[1] / h[2], -limit, limit) * (1 << kShift)));
+  }
+  cv::fillConvexPoly(seen, corners, 255, cv::LINE_8, kShift);
+  return seen;
+}
+
 /// `moving` by the result's homography, and where that has pixels.
 void warp(const cv::Mat& moving, int margin_px, Alignment& result) {
   const cv::Mat homography(result.reference_from_frame);
   cv::warpPerspective(moving, result.image, homography, moving.size(), cv::INTER_LINEAR, cv::BORDER_REPLICATE);
-  cv::warpPerspective(cv::Mat(moving.size(), CV_8U, cv::Scalar(255)), result.valid, homography, moving.size(),
-                      cv::INTER_NEAREST, cv::BORDER_CONSTANT, 0);
+  result.valid = seen_part(result.reference_from_frame, moving.size());
   const int side = 2 * margin_px + 1;
   cv::erode(result.valid, result.valid, cv::getStructuringElement(cv::MORPH_RECT, {side, side}), {-1, -1}, 1,
             cv::BORDER_CONSTANT, 255);
@@ -142,23 +164,11 @@ cv::Mat within(const cv::Mat& map, const cv::Mat& valid) {
   if (map.type() != CV_32F || valid.type() != CV_8U || map.size() != valid.size()) {
     return result;
   }
-  std::vector<float> values;
-  values.reserve(map.total());
-  for (int y = 0; y < map.rows; ++y) {
-    const auto* value = map.ptr<float>(y);
-    const auto* counts = valid.ptr<std::uint8_t>(y);
-    for (int x = 0; x < map.cols; ++x) {
-      if (counts[x] != 0) {
-        values.push_back(value[x]);
-      }
-    }
-  }
-  if (values.empty()) {
+  const int counts = cv::countNonZero(valid);
+  if (counts == 0 || counts == static_cast<int>(valid.total())) {
     return result;
   }
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  result.setTo(*middle, valid == 0);
+  result.setTo(MapHistogram(map, valid).quantile(0.5), valid == 0);
   return result;
 }
 

@@ -40,11 +40,7 @@ LineFit fit_line(const std::vector<TrackPoint>& track, Value value) {
 cv::Mat obstacle_mask(const MapSteps& steps, const Region& region, bool convex) {
   cv::Mat mask = steps.labels == region.label;
   if (convex) {
-    std::vector<cv::Point> points;
-    cv::findNonZero(mask, points);
-    std::vector<cv::Point> hull;
-    cv::convexHull(points, hull);
-    cv::fillConvexPoly(mask, hull, 255);
+    cv::fillConvexPoly(mask, convex_hull(mask), 255);
   }
   return mask;
 }

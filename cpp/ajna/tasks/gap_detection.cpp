@@ -7,6 +7,7 @@
 #include <opencv2/imgproc.hpp>
 
 #include "ajna/base/error.hpp"
+#include "ajna/tasks/map_histogram.hpp"
 
 namespace ajna::tasks {
 namespace {

@@ -17,12 +17,12 @@ enum class TrackedSide {
 const char* to_string(TrackedSide side) noexcept;
 
 struct GapTrackerOptions {
-  int max_features = 60;          ///< per side
+  int max_features = 48;          ///< per side
   double quality = 0.02;          ///< of corners, relative to the best
   double spacing_px = 5.0;        ///< between corners
   double ring = 0.5;              ///< width of the foreground's ring about the contour, share of the gap's diameter
   int window_px = 15;             ///< of the KLT tracker
-  int levels = 3;                 ///< of its pyramid
+  int levels = 2;                 ///< of its pyramid
   double max_roundtrip_px = 1.0;  ///< forward-backward check
   int min_features = 8;           ///< fewer on either side: that side is lost; on both: so is the gap
   int refill_below = 25;          ///< corners are sought anew on a side with fewer

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "ajna/base/error.hpp"
+#include "ajna/tasks/map_histogram.hpp"
 #include "ajna/tasks/uncertainty_map.hpp"
 
 namespace ajna::tasks {

@@ -9,6 +9,7 @@
 #include "ajna/geometry/camera.hpp"
 #include "ajna/geometry/motion_field.hpp"
 #include "ajna/geometry/pose.hpp"
+#include "ajna/tasks/map_histogram.hpp"
 
 namespace ajna::tasks {
 namespace {
@@ -113,7 +114,6 @@ NavigatePipeline::NavigatePipeline(const NavigateOptions& options) : options_(op
 
 void NavigatePipeline::reset() noexcept {
   clock_.reset();
-  last_s_.reset();
   last_free_px_.reset();
 }
 
@@ -128,8 +128,7 @@ NavigateResult NavigatePipeline::step(const cv::Mat& map, double time_s, const E
     result.status = NavigateStatus::kOutOfOrder;
     return result;
   }
-  const double dt_s = order == FrameOrder::kNext ? time_s - *last_s_ : 0.0;
-  last_s_ = time_s;
+  const double dt_s = order == FrameOrder::kNext ? clock_.interval_s() : 0.0;
   if (!is_valid_map(map)) {
     return result;
   }

@@ -84,7 +84,6 @@ class NavigatePipeline {
 
   NavigateOptions options_;
   FrameClock clock_;
-  std::optional<double> last_s_;
   std::optional<cv::Point2d> last_free_px_;
 };
 

@@ -36,12 +36,8 @@ cv::Mat attention_of(const MapSteps& steps, const SegmentOptions& options) {
 }
 
 cv::Mat seeds_of(const cv::Mat& attention, const SegmentOptions& options) {
-  std::vector<cv::Point> points;
-  cv::findNonZero(attention, points);
-  std::vector<cv::Point> hull;
-  cv::convexHull(points, hull);
   cv::Mat inside = cv::Mat::zeros(attention.size(), CV_8U);
-  cv::fillConvexPoly(inside, hull, 255);
+  cv::fillConvexPoly(inside, convex_hull(attention), 255);
   cv::Mat padded;
   cv::copyMakeBorder(inside, padded, 1, 1, 1, 1, cv::BORDER_CONSTANT, 0);
   cv::Mat depth;
@@ -60,7 +56,7 @@ cv::Mat seeds_of(const cv::Mat& attention, const SegmentOptions& options) {
 
 cv::Mat by_watershed(const cv::Mat& rgb, const cv::Mat& seeds) {
   cv::Mat smooth;
-  cv::GaussianBlur(rgb, smooth, {5, 5}, 0.0);
+  cv::GaussianBlur(rgb, smooth, {3, 3}, 0.0);
   cv::Mat markers = cv::Mat::zeros(seeds.size(), CV_32S);
   markers.setTo(kInside, seeds == 255);
   markers.setTo(kOutside, seeds == 0);
@@ -72,26 +68,38 @@ cv::Mat by_watershed(const cv::Mat& rgb, const cv::Mat& seeds) {
 }
 
 cv::Mat by_grabcut(const cv::Mat& rgb, const cv::Mat& seeds, const SegmentOptions& options) {
-  const double scale = std::min(1.0, static_cast<double>(options.grabcut_side_px) / rgb.cols);
-  cv::Mat small;
-  cv::Mat marks;
-  cv::resize(rgb, small, {}, scale, scale, cv::INTER_AREA);
-  cv::resize(seeds, marks, small.size(), 0, 0, cv::INTER_NEAREST);
-  cv::Mat labels(small.size(), CV_8U, cv::Scalar(cv::GC_PR_FGD));
-  labels.setTo(cv::GC_FGD, marks == 255);
-  labels.setTo(cv::GC_BGD, marks == 0);
+  cv::Mat labels(rgb.size(), CV_8U, cv::Scalar(cv::GC_PR_FGD));
+  labels.setTo(cv::GC_FGD, seeds == 255);
+  labels.setTo(cv::GC_BGD, seeds == 0);
   // Colour models need samples of both sides.
   constexpr int kFewest = 16;
-  if (cv::countNonZero(marks == 255) < kFewest || cv::countNonZero(marks == 0) < kFewest) {
+  if (cv::countNonZero(seeds == 255) < kFewest || cv::countNonZero(seeds == 0) < kFewest) {
     return seeds == 255;
   }
   cv::theRNG().state = 1;  // its k-means is seeded from there: equal input, equal answer
   cv::Mat background;
   cv::Mat foreground;
-  cv::grabCut(small, labels, {}, background, foreground, options.grabcut_iterations, cv::GC_INIT_WITH_MASK);
-  cv::Mat mask = (labels == cv::GC_FGD) | (labels == cv::GC_PR_FGD);
-  cv::resize(mask, mask, rgb.size(), 0, 0, cv::INTER_NEAREST);
-  return mask;
+  cv::grabCut(rgb, labels, {}, background, foreground, options.grabcut_iterations, cv::GC_INIT_WITH_MASK);
+  return (labels == cv::GC_FGD) | (labels == cv::GC_PR_FGD);
+}
+
+/// Seeds and the outline that grows from them, on a copy no wider than side_px.
+void grow(const cv::Mat& rgb, const SegmentOptions& options, SegmentResult& result) {
+  const double scale = std::min(1.0, static_cast<double>(options.side_px) / rgb.cols);
+  cv::Mat image = rgb;
+  cv::Mat attention = result.attention;
+  if (scale < 1.0) {
+    cv::resize(rgb, image, {}, scale, scale, cv::INTER_AREA);
+    cv::resize(result.attention, attention, image.size(), 0, 0, cv::INTER_NEAREST);
+  }
+  result.seeds = seeds_of(attention, options);
+  result.segmentation = options.method == SegmentMethod::kWatershed ? by_watershed(image, result.seeds)
+                                                                    : by_grabcut(image, result.seeds, options);
+  if (scale < 1.0) {
+    cv::resize(result.seeds, result.seeds, rgb.size(), 0, 0, cv::INTER_NEAREST);
+    cv::resize(result.segmentation, result.segmentation, rgb.size(), 0, 0, cv::INTER_LINEAR);
+    result.segmentation = result.segmentation > 127;
+  }
 }
 
 }  // namespace
@@ -126,8 +134,8 @@ void validate(const SegmentOptions& options) {
   if (!(options.inner >= 0.0 && options.inner < 1.0 && options.outer >= 0.0)) {
     throw_invalid("segment options: give inner from 0 to below 1 and outer of at least 0");
   }
-  if (options.grabcut_iterations < 1 || options.grabcut_side_px < 16) {
-    throw_invalid("segment options: give grabcut_iterations of at least 1 and grabcut_side_px of at least 16");
+  if (options.grabcut_iterations < 1 || options.side_px < 16) {
+    throw_invalid("segment options: give grabcut_iterations of at least 1 and side_px of at least 16");
   }
 }
 
@@ -152,9 +160,7 @@ SegmentResult segment_pile(const ImageView& frame, const cv::Mat& map, const Seg
   }
   result.attention = attention;
   result.box = cv::boundingRect(attention);
-  result.seeds = seeds_of(attention, options);
-  result.segmentation = options.method == SegmentMethod::kWatershed ? by_watershed(rgb, result.seeds)
-                                                                    : by_grabcut(rgb, result.seeds, options);
+  grow(rgb, options, result);
   result.status = SegmentStatus::kOk;
   return result;
 }

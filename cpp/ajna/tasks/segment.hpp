@@ -31,7 +31,7 @@ struct SegmentOptions {
   double inner = 0.35;  ///< the sure inside is the attention's hull, eroded by this share of its own depth
   double outer = 0.10;  ///< the sure outside begins this far from the hull, share of its diameter
   int grabcut_iterations = 1;
-  int grabcut_side_px = 160;  ///< GrabCut runs on a copy no wider than this
+  int side_px = 160;  ///< the outline is found on a copy no wider than this
 
   SegmentOptions();
 };

@@ -2,17 +2,16 @@
 #include "ajna/tasks/uncertainty_map.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
+#include <cstdint>
 #include <limits>
 #include <opencv2/imgproc.hpp>
 
 #include "ajna/base/error.hpp"
+#include "ajna/tasks/map_histogram.hpp"
 
 namespace ajna::tasks {
 namespace {
-
-constexpr int kBins = 4096;
 
 void require(bool valid, const char* what) {
   if (!valid) {
@@ -42,22 +41,34 @@ cv::Mat inside_border(const cv::Mat& map, int border_px, const cv::Rect& counted
 
 /// Components of `mask` with their statistics over `scalar`.
 void measure_regions(MapSteps& steps, const MapOptions& options) {
+  steps.labels = cv::Mat::zeros(steps.mask.size(), CV_32S);
+  const cv::Rect part = cv::boundingRect(steps.mask);  // most of a map is calm
+  if (part.empty()) {
+    return;
+  }
+  cv::Mat labels;
   cv::Mat stats;
   cv::Mat centroids;
-  const int count = cv::connectedComponentsWithStats(steps.mask, steps.labels, stats, centroids, 8, CV_32S);
+  const int count = cv::connectedComponentsWithStats(steps.mask(part), labels, stats, centroids, 8, CV_32S);
+  labels.copyTo(steps.labels(part));
   std::vector<double> sum(static_cast<std::size_t>(count));
   std::vector<float> peak(static_cast<std::size_t>(count));
-  for (int y = 0; y < steps.labels.rows; ++y) {
-    const int* label = steps.labels.ptr<int>(y);
-    const float* value = steps.scalar.ptr<float>(y);
-    for (int x = 0; x < steps.labels.cols; ++x) {
-      const auto k = static_cast<std::size_t>(label[x]);
-      sum[k] += value[x];
-      peak[k] = std::max(peak[k], value[x]);
+  double inside = 0.0;
+  for (int y = 0; y < labels.rows; ++y) {
+    const int* label = labels.ptr<int>(y);
+    const float* value = steps.scalar.ptr<float>(y + part.y) + part.x;
+    for (int x = 0; x < labels.cols; ++x) {
+      if (label[x] != 0) {
+        const auto k = static_cast<std::size_t>(label[x]);
+        sum[k] += value[x];
+        peak[k] = std::max(peak[k], value[x]);
+        inside += value[x];
+      }
     }
   }
   const double pixels = static_cast<double>(steps.mask.total());
-  const double outside = sum[0] / std::max(1, stats.at<int>(0, cv::CC_STAT_AREA));
+  const double calm_px = pixels - part.area() + stats.at<int>(0, cv::CC_STAT_AREA);
+  const double outside = std::max(0.0, cv::sum(steps.scalar)[0] - inside) / std::max(1.0, calm_px);
   const int margin = options.border_px + 1;
   const cv::Rect inner(margin, margin, steps.mask.cols - 2 * margin, steps.mask.rows - 2 * margin);
   for (int k = 1; k < count; ++k) {
@@ -67,9 +78,10 @@ void measure_regions(MapSteps& steps, const MapOptions& options) {
       continue;
     }
     region.label = k;
-    region.box = {stats.at<int>(k, cv::CC_STAT_LEFT), stats.at<int>(k, cv::CC_STAT_TOP),
-                  stats.at<int>(k, cv::CC_STAT_WIDTH), stats.at<int>(k, cv::CC_STAT_HEIGHT)};
-    region.centroid_px = {centroids.at<double>(k, 0), centroids.at<double>(k, 1)};
+    region.box = cv::Rect(stats.at<int>(k, cv::CC_STAT_LEFT), stats.at<int>(k, cv::CC_STAT_TOP),
+                          stats.at<int>(k, cv::CC_STAT_WIDTH), stats.at<int>(k, cv::CC_STAT_HEIGHT)) +
+                 part.tl();
+    region.centroid_px = cv::Point2d(centroids.at<double>(k, 0), centroids.at<double>(k, 1)) + cv::Point2d(part.tl());
     region.mean = sum[static_cast<std::size_t>(k)] / region.area_px;
     region.peak = peak[static_cast<std::size_t>(k)];
     region.outside = outside;
@@ -188,31 +200,6 @@ bool is_valid_map(const cv::Mat& map) {
   return cv::checkRange(map, true, nullptr, 0.0, static_cast<double>(std::numeric_limits<float>::max()));
 }
 
-double map_quantile(const cv::Mat& map, double q) {
-  double least = 0.0;
-  double most = 0.0;
-  cv::minMaxLoc(map, &least, &most);
-  if (!(most > least)) {
-    return least;
-  }
-  std::array<int, kBins> histogram{};
-  const float scale = static_cast<float>((kBins - 1) / (most - least));
-  const auto base = static_cast<float>(least);
-  for (int y = 0; y < map.rows; ++y) {
-    const float* row = map.ptr<float>(y);
-    for (int x = 0; x < map.cols; ++x) {
-      ++histogram[static_cast<std::size_t>(cvRound((row[x] - base) * scale))];
-    }
-  }
-  const double wanted = q * static_cast<double>(map.total());
-  double below = 0.0;
-  std::size_t bin = 0;
-  while (bin + 1 < histogram.size() && below + histogram[bin] < wanted) {
-    below += histogram[bin++];
-  }
-  return least + static_cast<double>(bin) / static_cast<double>(scale);
-}
-
 double threshold_of(const cv::Mat& normalized, const MapOptions& options) {
   switch (options.rule) {
     case ThresholdRule::kFixed:
@@ -249,6 +236,31 @@ cv::Mat morphology(const cv::Mat& mask, int open_px, int close_px, bool fill_hol
   return result;
 }
 
+std::vector<cv::Point> convex_hull(const cv::Mat& mask) {
+  std::vector<cv::Point> ends;  // of every row: its other pixels lie between them
+  const cv::Rect part = cv::boundingRect(mask);
+  for (int y = part.y; y < part.br().y; ++y) {
+    const auto* row = mask.ptr<std::uint8_t>(y);
+    int first = part.x;
+    int last = part.br().x - 1;
+    while (first <= last && row[first] == 0) {
+      ++first;
+    }
+    while (last > first && row[last] == 0) {
+      --last;
+    }
+    if (first <= last) {
+      ends.emplace_back(first, y);
+      ends.emplace_back(last, y);
+    }
+  }
+  std::vector<cv::Point> hull;
+  if (!ends.empty()) {
+    cv::convexHull(ends, hull);
+  }
+  return hull;
+}
+
 MapSteps find_regions(const cv::Mat& map, const MapOptions& options, const cv::Rect& counted) {
   validate(options);
   MapSteps steps;
@@ -268,13 +280,12 @@ MapSteps find_regions(const cv::Mat& map, const MapOptions& options, const cv::R
     cv::boxFilter(steps.scalar, background, CV_32F, {side, side}, {-1, -1}, true, cv::BORDER_REFLECT);
     relief = steps.scalar - background;
   }
-  const cv::Mat sample = inside_border(relief, options.border_px, counted);
-  steps.low = map_quantile(sample, options.low_quantile);
-  steps.high = map_quantile(sample, options.high_quantile);
+  const MapHistogram histogram(inside_border(relief, options.border_px, counted));
+  steps.low = histogram.quantile(options.low_quantile);
+  steps.high = histogram.quantile(options.high_quantile);
   const double range = steps.high - steps.low;
   // All-equal maps differ by rounding after smoothing: their range is no range.
-  double largest = 0.0;
-  cv::minMaxLoc(steps.scalar, nullptr, &largest);
+  const double largest = range_of(steps.scalar).second;
   if (range <= options.min_range || range <= 1e-5 * largest) {
     steps.status = MapStatus::kFlat;
     return steps;

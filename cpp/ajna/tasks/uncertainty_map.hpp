@@ -89,12 +89,13 @@ cv::Mat scalar_map(const cv::Mat& per_axis, ScalarKind kind = ScalarKind::kNorm)
 cv::Mat scalar_map(const FlowField& field, ScalarKind kind = ScalarKind::kNorm);
 /// Whether a map can be worked on: CV_32F, sides of kMinSide at least, all values finite and not negative.
 bool is_valid_map(const cv::Mat& map);
-/// The value below which a share `q` of the pixels of a CV_32F map lies (by histogram: to 1/4096 of its range).
-double map_quantile(const cv::Mat& map, double q);
 /// The threshold of a rule on a normalised map.
 double threshold_of(const cv::Mat& normalized, const MapOptions& options);
 /// Opening, closing, filling of a CV_8U mask.
 cv::Mat morphology(const cv::Mat& mask, int open_px, int close_px, bool fill_holes);
+
+/// Corners of the convex hull of the pixels of a CV_8U mask that are not 0; none for an empty one.
+std::vector<cv::Point> convex_hull(const cv::Mat& mask);
 
 /// All steps. Throws Error(kInvalidArgument) for options out of range; a map that cannot be used is a status.
 /// counted: the part of the map, less the border, that sets normalisation and threshold; empty: all of it.
