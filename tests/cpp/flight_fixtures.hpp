@@ -53,6 +53,7 @@ class MemoryTransport final : public Transport {
   std::deque<std::uint8_t> incoming;
   std::vector<std::uint8_t> outgoing;
   bool broken = false;
+  bool open = true;
 
   void service(double /*now_s*/) noexcept override {}
   std::size_t read(std::uint8_t* data, std::size_t size) noexcept override {
@@ -70,7 +71,7 @@ class MemoryTransport final : public Transport {
     outgoing.insert(outgoing.end(), data, data + size);
     return true;
   }
-  [[nodiscard]] bool is_open() const noexcept override { return true; }
+  [[nodiscard]] bool is_open() const noexcept override { return open; }
   [[nodiscard]] int descriptor() const noexcept override { return -1; }
   [[nodiscard]] std::string problem() const override { return {}; }
 };

@@ -233,15 +233,27 @@ TEST_F(ControlLoopTest, StopReleasesAndOnlyThenIsDone) {
 }
 
 TEST_F(ControlLoopTest, BrokenOutputReleasesAsSoonAsItTakesDataAgain) {
-  make();
-  activate();
-  pipe->broken = true;
-  run(0.2);
-  EXPECT_EQ(decision.release_reason, Fault::kOutput);
-  pipe->broken = false;
-  run(1.0);
-  EXPECT_GE(first_release_s, 0.0);
-  EXPECT_EQ(autopilot.overridden()[0], 0);
+  for (const bool closed : {false, true}) {
+    for (const double duration_s : {0.2, 0.7, 10.0}) {
+      SCOPED_TRACE((closed ? "closed for " : "full for ") + std::to_string(duration_s) + " s");
+      make();
+      activate();
+      pipe->broken = true;
+      pipe->open = !closed;
+      run(duration_s);
+      EXPECT_EQ(decision.release_reason, Fault::kOutput);
+      EXPECT_EQ(decision.state, SafetyState::kReleasing);
+      EXPECT_LT(first_release_s, 0.0) << "nobody can have heard it";
+      pipe->broken = false;
+      pipe->open = true;
+      const double back_s = now_s;
+      run(1.0);
+      EXPECT_GE(first_release_s, back_s);
+      EXPECT_LE(first_release_s, back_s + 0.05);
+      EXPECT_EQ(autopilot.overridden()[0], 0);
+      EXPECT_EQ(decision.state, SafetyState::kStandby);
+    }
+  }
 }
 
 TEST_F(ControlLoopTest, OverridesThatAreIgnoredAreNoticed) {

@@ -56,6 +56,20 @@ def tiny_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
+def flight_script(tiny_checkpoint: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """`tiny_checkpoint` as a TorchScript file that passes the flight program's self-test."""
+    from ajna import nn
+
+    path = tmp_path_factory.mktemp("script") / "tiny.pt"
+    net, metadata = nn.load_checkpoint(tiny_checkpoint)
+    with torch.no_grad():  # untrained weights hardly look at the frames
+        for parameter in net.parameters():
+            parameter *= 2.5 if parameter.dim() > 1 else 1.0
+    nn.export_torchscript(path, net, metadata)
+    return path
+
+
+@pytest.fixture(scope="session")
 def member_runs(tiny_checkpoint: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of three runs, each with a model.safetensors: `tiny_checkpoint` with its weights a little off."""
     from ajna import nn

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import os
+import select
+import socket
 import subprocess
 import threading
 import time
@@ -26,7 +28,7 @@ NAN_MARK, SLOW_MARK = 255, 254
 CONFIG = """
 model: {{path: "{model}", threads: 1, width_px: 64, height_px: 48{deadline}}}
 source: {{kind: spool, path: "{frames}"}}
-mavlink: {{endpoint: "udpout:127.0.0.1:{port}"}}
+mavlink: {{endpoint: "{endpoint}"}}
 safety: {{switch_channel: 8{timeouts}}}
 task: {{kind: navigate}}
 log: {{folder: "{log}"}}
@@ -173,22 +175,136 @@ def wait_for(condition: Callable[[], bool], seconds: float) -> bool:
     return condition()
 
 
+class Bridge:
+    """Bytes between a stream, which the program opens, and the autopilot's UDP port, in a thread.
+
+    Streams cut messages where they like: here after every 7 bytes.
+    """
+
+    endpoint: str
+
+    def __init__(self, port: int) -> None:
+        self._udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._udp.connect(("127.0.0.1", port))
+        self._stop = False
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._stop = True
+        self._thread.join()
+        self._udp.close()
+
+    def _descriptor(self) -> int | None:
+        """Of the open stream, or None."""
+        raise NotImplementedError
+
+    def _lost(self) -> None:
+        """The other side closed the stream."""
+
+    def _run(self) -> None:
+        while not self._stop:
+            stream = self._descriptor()
+            ready = select.select([self._udp] if stream is None else [self._udp, stream], [], [], 0.01)[0]
+            try:
+                if stream is not None and stream in ready:
+                    data = os.read(stream, 4096)
+                    if data:
+                        self._udp.send(data)
+                    else:
+                        self._lost()
+                if self._udp in ready:
+                    data = self._udp.recv(4096)
+                    for begin in range(0, len(data) if stream is not None else 0, 7):
+                        os.write(stream, data[begin : begin + 7])  # type: ignore[arg-type]
+            except OSError:
+                self._lost()
+
+
+class TcpBridge(Bridge):
+    """Waits for the program's connection; ``hang_up`` ends it, and nobody answers until ``answer``."""
+
+    def __init__(self, port: int) -> None:
+        self._connection: socket.socket | None = None
+        self._tcp_port = 0
+        self.answer()
+        self.endpoint = f"tcp:127.0.0.1:{self._tcp_port}"
+        super().__init__(port)
+
+    def answer(self) -> None:
+        listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(("127.0.0.1", self._tcp_port))
+        listener.listen(1)
+        listener.settimeout(0)
+        self._tcp_port = listener.getsockname()[1]
+        self._listener: socket.socket | None = listener
+
+    def hang_up(self) -> None:
+        listener, self._listener = self._listener, None
+        if listener is not None:
+            listener.close()
+        self._lost()
+
+    def close(self) -> None:
+        super().close()
+        self.hang_up()
+
+    def _descriptor(self) -> int | None:
+        if self._connection is None and self._listener is not None:
+            try:
+                self._connection = self._listener.accept()[0]
+            except OSError:
+                return None
+        return None if self._connection is None else self._connection.fileno()
+
+    def _lost(self) -> None:
+        connection, self._connection = self._connection, None
+        if connection is not None:
+            connection.close()
+
+
+class SerialBridge(Bridge):
+    """A pseudo-terminal in place of a serial port."""
+
+    def __init__(self, port: int) -> None:
+        self._near, self._far = os.openpty()
+        self.endpoint = f"serial:{os.ttyname(self._far)}:115200"
+        super().__init__(port)
+
+    def close(self) -> None:
+        super().close()
+        os.close(self._near)
+        os.close(self._far)
+
+    def _descriptor(self) -> int | None:
+        return self._near
+
+
 class Rig:
     """A running program with its autopilot and its camera."""
 
     def __init__(
-        self, program: Path, folder: Path, model: Path, *arguments: str, patient: bool = True, **popen: Any
+        self,
+        program: Path,
+        folder: Path,
+        model: Path,
+        *arguments: str,
+        patient: bool = True,
+        bridge: Callable[[int], Bridge] | None = None,
+        **popen: Any,
     ) -> None:
         frames = folder / "frames"
         frames.mkdir()
         self.autopilot = Autopilot()
+        self.bridge = bridge(self.autopilot.port) if bridge else None
         self.camera = SpoolCamera(frames)
         self.log = folder / "log"
         config = folder / "flight.yaml"
         text = CONFIG.format(
             model=model,
             frames=frames,
-            port=self.autopilot.port,
+            endpoint=self.bridge.endpoint if self.bridge else f"udpout:127.0.0.1:{self.autopilot.port}",
             log=self.log,
             deadline=", deadline_s: 1.0" if patient else "",
             timeouts=PATIENT if patient else "",
@@ -209,6 +325,8 @@ class Rig:
         self.process.kill()
         self.process.wait()
         self.camera.close()
+        if self.bridge:
+            self.bridge.close()
         self.autopilot.close()
 
     def wait_until_ready(self) -> None:

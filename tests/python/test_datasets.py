@@ -3,16 +3,16 @@
 
 from __future__ import annotations
 
-import importlib.util
 import sys
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 
 pytest.importorskip("ajna.io", reason="needs the build with vision (AJNA_WITH_VISION=ON)", exc_type=ImportError)
+
+import data_trees as trees
 
 from ajna.data.benchmarks import Middlebury, Sintel, Spring
 from ajna.data.chairs import FlyingChairs, FlyingChairs2
@@ -22,17 +22,6 @@ from ajna.data.frame_pair import FramePair, Truth
 from ajna.data.registry import open_dataset
 from ajna.data.things import FlyingThings3D
 
-
-def _load_trees() -> ModuleType:
-    path = Path(__file__).with_name("data_trees.py")
-    spec = importlib.util.spec_from_file_location("data_trees", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-trees = _load_trees()
 make, Tree, TREES = trees.make, trees.Tree, trees.TREES
 
 

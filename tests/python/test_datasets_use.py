@@ -4,17 +4,18 @@
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 pytest.importorskip("ajna.io", reason="needs the build with vision (AJNA_WITH_VISION=ON)", exc_type=ImportError)
+
+import data_trees as trees
 
 from ajna.cli import main
 from ajna.data.chairs import FlyingChairs2
@@ -24,17 +25,6 @@ from ajna.data.registry import DATASETS, open_dataset, options_of, parse_options
 from ajna.data.things import FlyingThings3D
 from ajna.evaluation import evaluate
 
-
-def _load_trees() -> ModuleType:
-    path = Path(__file__).with_name("data_trees.py")
-    spec = importlib.util.spec_from_file_location("data_trees", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-trees = _load_trees()
 make, TREES, HEIGHT, WIDTH = trees.make, trees.TREES, trees.HEIGHT, trees.WIDTH
 
 

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import itertools
 import json
 import os
@@ -12,30 +11,17 @@ import resource
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import ModuleType
 
 import pytest
-import torch
 
 pytest.importorskip("pymavlink", reason="pymavlink is not installed")
 
 
-def _load_rig() -> ModuleType:
-    path = Path(__file__).with_name("flight_rig.py")
-    spec = importlib.util.spec_from_file_location("flight_rig", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["flight_rig"] = module  # TorchScript looks classes up by their module's name
-    spec.loader.exec_module(module)
-    return module
-
-
-rig_module = _load_rig()
-Rig, mavlink, wait_for = rig_module.Rig, rig_module.mavlink, rig_module.wait_for
+import flight_rig as rig_module
+from flight_rig import Rig, mavlink, wait_for
 
 BUILD = os.environ.get("AJNA_TEST_BUILD_DIR")
 PROGRAM = Path(BUILD or ".") / "cpp" / "apps" / "ajna_flight"
@@ -48,32 +34,19 @@ LIMIT_S = 0.2
 
 
 @pytest.fixture(scope="module")
-def script(tiny_checkpoint: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    from ajna import nn
-
-    path = tmp_path_factory.mktemp("script") / "tiny.pt"
-    net, metadata = nn.load_checkpoint(tiny_checkpoint)
-    with torch.no_grad():  # untrained weights hardly look at the frames, and would not pass the self-test
-        for parameter in net.parameters():
-            parameter *= 2.5 if parameter.dim() > 1 else 1.0
-    nn.export_torchscript(path, net, metadata)
-    return path
-
-
-@pytest.fixture(scope="module")
-def rig(script: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+def rig(flight_script: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     folder = tmp_path_factory.mktemp("flight")
-    rig = Rig(PROGRAM, folder, rig_module.faulty_model(script, folder / "faulty.pt"), patient=False)
+    rig = Rig(PROGRAM, folder, rig_module.faulty_model(flight_script, folder / "faulty.pt"), patient=False)
     yield rig
     rig.close()
 
 
 @pytest.fixture
-def start(script: Path, tmp_path: Path) -> Iterator[Callable[..., Rig]]:
+def start(flight_script: Path, tmp_path: Path) -> Iterator[Callable[..., Rig]]:
     rigs: list[Rig] = []
 
     def make(*arguments: str, **popen: object) -> Rig:
-        rigs.append(Rig(PROGRAM, tmp_path, script, *arguments, **popen))
+        rigs.append(Rig(PROGRAM, tmp_path, flight_script, *arguments, **popen))
         return rigs[-1]
 
     yield make
@@ -294,8 +267,8 @@ def test_dry_run_is_silent(start: Callable[..., Rig]) -> None:
 
 
 @pytest.mark.parametrize(("value", "word"), [(0.0, "the same at every pixel"), (float("nan"), "NaN or infinite")])
-def test_a_model_that_says_nothing_is_refused(tmp_path: Path, script: Path, value: float, word: str) -> None:
-    model = rig_module.constant_model(script, tmp_path / "constant.pt", value)
+def test_a_model_that_says_nothing_is_refused(tmp_path: Path, flight_script: Path, value: float, word: str) -> None:
+    model = rig_module.constant_model(flight_script, tmp_path / "constant.pt", value)
     rig = Rig(PROGRAM, tmp_path, model)
     try:
         assert rig.process.wait(30) == 2
@@ -305,7 +278,7 @@ def test_a_model_that_says_nothing_is_refused(tmp_path: Path, script: Path, valu
         rig.close()
 
 
-def test_check_config(tmp_path: Path, script: Path) -> None:
+def test_check_config(tmp_path: Path, flight_script: Path) -> None:
     def check(text: str) -> tuple[int, str]:
         path = tmp_path / "flight.yaml"
         path.write_text(text)
@@ -314,7 +287,7 @@ def test_check_config(tmp_path: Path, script: Path) -> None:
         return result.returncode, result.stderr
 
     good = f"""
-model: {{path: "{script}"}}
+model: {{path: "{flight_script}"}}
 source: {{kind: camera, path: "0"}}
 mavlink: {{endpoint: "udpin:127.0.0.1:14550"}}
 safety: {{switch_channel: 8}}
@@ -324,5 +297,5 @@ safety: {{switch_channel: 8}}
     assert code == 2 and "this key is needed" in said
     code, said = check(good + "tasks: {}\n")
     assert code == 2 and "did you mean 'task'" in said
-    code, said = check(good.replace(str(script), "/none.pt"))
+    code, said = check(good.replace(str(flight_script), "/none.pt"))
     assert code == 2 and "/none.pt" in said

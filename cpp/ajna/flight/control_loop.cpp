@@ -62,6 +62,7 @@ SafetyInputs ControlLoop::inputs(double now_s, const Perceived& perceived) const
   in.now_s = now_s;
   in.stop_requested = board_.stop.load();
   in.internal_error = board_.internal_error.load();
+  in.link_open = options_.dry_run || (link_.transport().is_open() && !release_failed_);
   in.output_ok = options_.dry_run || (link_.transport().is_open() && failed_writes_ < kFailedWrites);
   in.heartbeat_s = vehicle.heartbeat_s;
   in.right_vehicle = vehicle.heartbeat.is_ardupilot_copter;
@@ -116,10 +117,13 @@ SafetyDecision ControlLoop::tick(double now_s) {
   } else if (decision.send_release) {
     send_release(now_s);
   }
+  if (decision.state == SafetyState::kStandby || !link_.transport().is_open()) {
+    EmergencyRelease::disarm();  // a closed link's descriptor may be another file's by now
+  }
   if (decision.state == SafetyState::kStandby) {
-    EmergencyRelease::disarm();
     // What failed is tried anew: heartbeats tell whether the link takes data again.
     failed_writes_ = 0;
+    release_failed_ = false;
     command_valid_ = true;
   }
   report(now_s, decision);
@@ -165,7 +169,8 @@ void ControlLoop::send_release(double now_s) {
     return;
   }
   const Bytes frame = output_.release(link_.codec(), link_.vehicle().motion(now_s), boot_ms(now_s));
-  if (link_.send(frame)) {
+  release_failed_ = !link_.send(frame);
+  if (!release_failed_) {
     ++releases_sent_;
   }
 }

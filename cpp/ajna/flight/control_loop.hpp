@@ -56,6 +56,7 @@ class ControlLoop {
   std::uint64_t commands_sent_ = 0;
   std::uint64_t releases_sent_ = 0;
   int failed_writes_ = 0;
+  bool release_failed_ = false;  ///< the last one, of those that are being sent
   bool command_valid_ = true;
 };
 

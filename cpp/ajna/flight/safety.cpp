@@ -227,7 +227,7 @@ Fault SafetyMachine::check(const SafetyInputs& in) const noexcept {
   if (last_s_ && in.now_s - *last_s_ > options_.max_tick_s) {
     return Fault::kLoopLate;
   }
-  if (!in.output_ok) {
+  if (!in.output_ok || !in.link_open) {
     return Fault::kOutput;
   }
   const Fault vehicle = check_vehicle(in);
@@ -267,7 +267,7 @@ SafetyDecision SafetyMachine::step(const SafetyInputs& in) noexcept {
   if (state_ == SafetyState::kActive && fault != Fault::kNone) {
     state_ = SafetyState::kReleasing;
     release_reason_ = fault;
-    release_began_s_ = last_s_.value_or(0.0);
+    fault_s_ = release_began_s_ = last_s_.value_or(0.0);
     releases_ = 0;
     switch_was_off_ = false;
     on_since_s_.reset();
@@ -286,8 +286,18 @@ SafetyDecision SafetyMachine::step(const SafetyInputs& in) noexcept {
       }
       break;
     case SafetyState::kReleasing:
-      ++releases_;
       decision.send_release = true;
+      if (!in.link_open) {
+        // None of them has gone out. An autopilot that is still overridden when the link is back must hear of it then;
+        // only a program that is to end cannot wait for that.
+        releases_ = 0;
+        release_began_s_ = last_s_.value_or(0.0);
+        if (in.stop_requested && clock_ok && in.now_s - fault_s_ >= options_.release_duration_s) {
+          state_ = SafetyState::kStandby;
+        }
+        break;
+      }
+      ++releases_;
       if (releases_ >= options_.release_repeats && clock_ok &&
           in.now_s - release_began_s_ >= options_.release_duration_s) {
         state_ = SafetyState::kStandby;

@@ -64,7 +64,8 @@ struct SafetyInputs {
   double now_s = std::numeric_limits<double>::quiet_NaN();
   bool stop_requested = false;
   bool internal_error = false;
-  bool output_ok = false;
+  bool link_open = false;  ///< there is something to write to, and the last release, if any, was taken
+  bool output_ok = false;  ///< and what is written is taken
 
   std::optional<double> heartbeat_s;  ///< when the last one came
   bool right_vehicle = false;
@@ -126,7 +127,8 @@ class SafetyMachine {
   std::optional<double> last_s_;
   bool switch_was_off_ = false;
   std::optional<double> on_since_s_;
-  double release_began_s_ = 0.0;
+  double fault_s_ = 0.0;          ///< when commands ended
+  double release_began_s_ = 0.0;  ///< the first release that has gone out since
   int releases_ = 0;
 };
 
