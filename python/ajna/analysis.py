@@ -25,6 +25,11 @@ from ajna.metrics import Sparsification, average_ranks, pearson_correlation
 
 WINDOW = 9  # pixels, side of the square around a pixel in which texture is measured
 MAX_DISTANCE = 24  # pixels, at which the distance to a depth boundary saturates
+AT_PX = 2  # steps to a motion boundary that count as at it
+AWAY_PX = 10  # ... and that count as away from it
+FLAT_GREY = 4.0  # local contrast below which a place is flat, grey levels
+LEAST_PX = 100  # pixels that a region needs for its figure to count
+BORDER_PX = 8  # of the image, where motion leaves it
 _LUMA = (0.299, 0.587, 0.114)
 
 Map = NDArray[np.float64]
@@ -73,6 +78,33 @@ def distance_to(mask: NDArray[np.bool_], limit: int = MAX_DISTANCE) -> Map:
         reached = torch.nn.functional.max_pool2d(reached, 3, 1, 1)
         distance = np.minimum(distance, np.where(reached[0, 0].numpy() > 0, step, limit))
     return distance
+
+
+def boundary_ratio(
+    frame: NDArray[np.uint8], boundary: NDArray[np.bool_], occluded: NDArray[np.bool_] | None, uncertainty: ArrayLike
+) -> float:
+    """How much more uncertain a method is where motion jumps or is hidden than on plain, textured surfaces.
+
+    The median uncertainty within AT_PX of a motion boundary or at occluded pixels, over that of pixels with a local
+    contrast of FLAT_GREY and more that are farther than AWAY_PX from either; BORDER_PX of the image do not count.
+
+    Args:
+        frame: RGB uint8 [H, W, 3]. boundary, occluded: bool [H, W]; uncertainty: [H, W], any unit.
+
+    Returns:
+        The ratio; NaN where either region has fewer than LEAST_PX pixels.
+    """
+    hidden = np.zeros_like(boundary) if occluded is None else occluded
+    inside = np.zeros_like(boundary)
+    inside[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX] = True
+    distance = distance_to(boundary | hidden, AWAY_PX + 1)
+    at = inside & ((distance_to(boundary, AT_PX + 1) <= AT_PX) | hidden)
+    plain = inside & (distance > AWAY_PX) & (local_contrast(frame) >= FLAT_GREY)
+    if min(at.sum(), plain.sum()) < LEAST_PX:
+        return float("nan")
+    values = np.asarray(uncertainty)
+    level = float(np.median(values[plain]))
+    return float(np.median(values[at])) / level if level > 0 else float("inf")
 
 
 # --- the table -----------------------------------------------------------------------------------------------------

@@ -24,6 +24,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from ajna import analysis
 from ajna.baselines import FlowMethod
 from ajna.calibration.held_out import HeldOut
 from ajna.data.dataset import FlowDataset, check_names
@@ -61,6 +62,7 @@ ERROR_FIGURES = (
 )
 
 INTERVAL_LEVEL = 0.9  # of the coverage per case
+DENSE_SHARE = 0.5  # of pixels with ground truth: with fewer it does not show where motion jumps
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,7 @@ class Scores:
     pearson: float | None = None  # their linear correlation (paper Eq. 9)
     occlusion_auc: float | None = None  # ROC AUC of the uncertainty norm for the occlusion mask
     motion_boundary_auc: float | None = None  # the same for motion boundaries
+    boundary_ratio: float | None = None  # median uncertainty there and at hidden pixels over that of textured surfaces
     ece_px: float | None = None  # expected calibration error of the expected error; calibrated models only
     coverage_90: float | None = None  # share of flow components inside their 90 % interval; calibrated models only
     width_90_px: float | None = None  # mean width of these intervals, pixels
@@ -255,9 +258,19 @@ def _score(pair: FramePair, result: Any, run_time_ms: float, curves: Sparsificat
         pearson=_defined(Pearson()(prediction, target, uncertainty, valid)),
         occlusion_auc=_defined(auc),
         motion_boundary_auc=_defined(MotionBoundaryAUC()(uncertainty, boundary, valid)),
+        boundary_ratio=_boundary_ratio(pair, boundary[0].numpy(), result),
         **_calibration_scores(prediction, target, valid, result, report),
         run_time_ms=run_time_ms,
     )
+
+
+def _boundary_ratio(pair: FramePair, boundary: NDArray[np.bool_], result: Any) -> float | None:
+    """See `analysis.boundary_ratio`; None where it is not defined, or ground truth too sparse to tell boundaries."""
+    if pair.valid is None or pair.valid.mean() < DENSE_SHARE:
+        return None
+    norm = np.linalg.norm(np.asarray(result.uncertainty), axis=2)
+    ratio = analysis.boundary_ratio(pair.frame1, boundary, pair.occlusion, norm)
+    return ratio if math.isfinite(ratio) else None
 
 
 def _calibration_scores(

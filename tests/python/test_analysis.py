@@ -210,6 +210,24 @@ def test_regions_are_masks_of_the_table() -> None:
 # --- pictures ------------------------------------------------------------------------------------------------------
 
 
+def test_boundary_ratio_is_of_medians_over_regions() -> None:
+    frame = np.random.default_rng(0).integers(0, 256, (80, 100, 3), dtype=np.uint8)
+    boundary, hidden = np.zeros((80, 100), bool), np.zeros((80, 100), bool)
+    boundary[:, 50] = True
+    hidden[20:60, 30:35] = True
+    uncertainty = np.full((80, 100), 0.5)
+    uncertainty[:, 48:53] = 2.0  # within two steps of the boundary
+    uncertainty[hidden] = 2.0
+    uncertainty[:8] = 100.0  # the image's border does not count
+    assert analysis.boundary_ratio(frame, boundary, hidden, uncertainty) == pytest.approx(4.0)
+    uncertainty[hidden] = 0.5  # 200 hidden pixels against 320 at the boundary
+    assert analysis.boundary_ratio(frame, boundary, hidden, uncertainty) == pytest.approx(4.0)
+    assert analysis.boundary_ratio(frame, boundary, None, 3 * uncertainty) == pytest.approx(4.0)
+    flat = np.full_like(frame, 90)
+    assert np.isnan(analysis.boundary_ratio(flat, boundary, hidden, uncertainty))  # nothing is textured
+    assert np.isnan(analysis.boundary_ratio(frame, np.zeros_like(boundary), None, uncertainty))
+
+
 def test_every_plot_is_a_picture_of_its_data() -> None:
     table = make_table(4000)
     curve = analysis.reliability(table.expected_norm, table.error)

@@ -49,7 +49,7 @@ MapHistogram::MapHistogram(const cv::Mat& map, const cv::Mat& counted) {
     for (int x = 0; x < map.cols; ++x) {
       const float place = (row[x] - base) * scale;
       if ((counts == nullptr || counts[x] != 0) && place >= 0.0F && place < static_cast<float>(kBins)) {
-        ++bins_[static_cast<std::size_t>(place + 0.5F) % kBins];
+        ++bins_[static_cast<std::size_t>(std::min(cvRound(place), kBins - 1))];
         ++total_;
       }
     }

@@ -189,6 +189,46 @@ def false_alarms(
         typer.echo(study_of.markdown(conditions, options))
 
 
+@study.command()
+def presets(
+    model: Annotated[
+        list[str] | None, typer.Option(help="Model by name, checkpoint or TorchScript file; may be repeated.")
+    ] = None,
+    method: Annotated[
+        list[str] | None, typer.Option(help="Classical method beside it: dis, farneback or zero; may be repeated.")
+    ] = None,
+    scenes: Annotated[int, typer.Option(min=2, help="Number of scenes of each preset.")] = 32,
+    preset: Annotated[
+        list[str] | None, typer.Option(help="Only this preset; may be repeated. Default: all (`ajna synth presets`).")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of scenes and textures.")] = 1,
+    size: Annotated[str, typer.Option(help="WIDTHxHEIGHT of the scenes.")] = "320x240",
+    device: DeviceOption = "cpu",
+    as_json: JsonOption = False,
+) -> None:
+    """Flow, uncertainty, intervals and boundaries on held-out synthetic scenes of every preset.
+
+    Example: ajna study presets --model best --method dis --scenes 32
+    """
+    from rich.console import Console
+    from rich.progress import Progress
+
+    import ajna
+    from ajna.baselines import make_baseline
+    from ajna.cli.options import parse_size
+    from ajna.studies import presets as study_of
+
+    wanted = parse_size(size)
+    assert wanted is not None
+    options = study_of.PresetOptions(scenes, seed, *wanted, tuple(preset or ()))
+    methods: dict[str, Any] = {name: ajna.load(name, device=device) for name in model or ["best"]}
+    methods |= {name: make_baseline(name) for name in method or []}
+    with Progress(console=Console(stderr=True), disable=not sys.stderr.isatty()) as bar:
+        task = bar.add_task("scenes", total=1.0)
+        rows = study_of.run(methods, options, lambda share: bar.update(task, completed=share))
+    typer.echo(json.dumps([row.record() for row in rows]) if as_json else study_of.markdown(rows, options))
+
+
 def _measure_robustness(model: str, device: str, options: Any, patch_steps: int, surrogate: Path | None) -> Any:
     import time
 

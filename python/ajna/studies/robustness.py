@@ -17,6 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from ajna import analysis
+from ajna.analysis import AT_PX, AWAY_PX, BORDER_PX, FLAT_GREY, LEAST_PX
 from ajna.bootstrap import bootstrap_interval
 from ajna.metrics.functions import roc_auc
 from ajna.studies.disturbances import DISTURBANCES, Patch, StudyScene, disturbed, make_scene, with_patch
@@ -26,12 +27,7 @@ __all__ = ["Condition", "RobustnessOptions", "RobustnessStudy", "SceneFigures", 
 Map = NDArray[np.floating]
 Mask = NDArray[np.bool_]
 
-AT_PX = 2  # steps to a motion boundary that count as at it
-AWAY_PX = 10  # ... and that count as away from it
-FLAT_GREY = 4.0  # local contrast below which a place is flat, grey levels
-LEAST_PX = 100  # pixels that a region needs for its mean to count
 MARGIN_PX = 6  # around what a disturbance touched: neither touched nor untouched
-BORDER_PX = 8  # of the image, where motion leaves it
 
 
 @dataclass

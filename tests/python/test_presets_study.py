@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: MIT
+"""The study of held-out scenes by preset: what is scored, by whom, and the command."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torchmetrics")
+
+from ajna import synth
+from ajna.baselines import BaselineField, ZeroFlow
+from ajna.cli import main
+from ajna.data.synthetic import SyntheticScenes
+from ajna.studies.presets import COLUMNS, PresetOptions, markdown, run
+
+OPTIONS = PresetOptions(scenes=3, seed=4, width=96, height=80, presets=("gap", "dodge"))
+
+
+class Known:
+    """Gives the true flow of the study's scenes, and is uncertain where motion jumps."""
+
+    def __init__(self) -> None:
+        self.fields = {}
+        for preset in OPTIONS.presets:
+            scenes = SyntheticScenes(
+                OPTIONS.scenes, OPTIONS.width, OPTIONS.height, seed=OPTIONS.seed, scene={"preset": preset}
+            )
+            for pair in scenes.pairs():
+                rim = np.where(pair.motion_boundary | pair.occlusion, 1.0, 0.1).astype(np.float32)
+                self.fields[pair.frame1.tobytes()] = BaselineField(pair.flow, np.stack([rim, rim], -1))
+
+    def __call__(self, frame1: np.ndarray, frame2: np.ndarray) -> BaselineField:
+        return self.fields[frame1.tobytes()]
+
+
+def test_every_preset_and_method_is_scored_on_the_same_scenes() -> None:
+    shares: list[float] = []
+    rows = run({"known": Known(), "zero": ZeroFlow()}, OPTIONS, shares.append)
+    assert [(row.preset, row.method) for row in rows] == [
+        ("gap", "known"), ("gap", "zero"), ("dodge", "known"), ("dodge", "zero")
+    ]  # fmt: skip
+    assert shares[-1] == 1.0 and shares == sorted(shares)
+    for known, zero in zip(rows[::2], rows[1::2], strict=True):
+        assert known.mean.epe == 0.0 and zero.mean.epe == pytest.approx(zero.mean.zero_epe)
+        assert known.mean.zero_epe == zero.mean.zero_epe
+        assert known.mean.motion_boundary_auc > 0.9
+        low, high = zero.interval["epe"]
+        assert low <= zero.mean.epe <= high
+    assert json.loads(json.dumps([row.record() for row in rows]))[0]["mean"]["epe"] == 0.0
+    table = markdown(rows, OPTIONS)
+    assert all(heading in table for heading, _, _ in COLUMNS.values())
+    assert table.count("\n| ") == 1 + len(rows) and "| – |" in table  # nothing is calibrated here
+
+
+def test_command_and_errors(tiny_checkpoint: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["study", "presets", "--model", str(tiny_checkpoint), "--scenes", "2", "--size", "64x48"]
+    assert main([*command, "--preset", "pile", "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)
+    assert row["preset"] == "pile" and row["mean"]["epe"] > 0
+    assert main([*command, "--preset", "piles"]) == 2
+    assert "unknown scene preset 'piles'; known: general" in capsys.readouterr().err
+    with pytest.raises(ValueError, match="at least 2 scenes"):
+        PresetOptions(scenes=1)
+    assert set(PresetOptions().presets) == set() and "gap" in synth.presets()
