@@ -11,14 +11,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ajna import viz
+from ajna.analysis import AT_PX, AWAY_PX, FLAT_GREY
 from ajna.studies.disturbances import DISTURBANCES, Patch, disturbed, make_scene, with_patch
-from ajna.studies.robustness import (
-    AT_PX,
-    AWAY_PX,
-    FLAT_GREY,
-    RobustnessOptions,
-    RobustnessStudy,
-)
+from ajna.studies.robustness import RobustnessOptions, RobustnessStudy
 
 __all__ = ["draw", "examples", "markdown"]
 
