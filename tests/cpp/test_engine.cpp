@@ -6,7 +6,7 @@
 #include <thread>
 
 #include "ajna/engine/flow_engine.hpp"
-#include "ajna/engine/folded_net.hpp"
+#include "ajna/nn/folded_net.hpp"
 #include "ajna/nn/preprocess.hpp"
 #include "ajna/nn/torchscript.hpp"
 #include "nn_fixtures.hpp"
@@ -69,7 +69,7 @@ TEST_F(EngineTest, FoldedNetworkEqualsTheModule) {
   const torch::NoGradGuard no_grad;
   for (const nn::NetConfig& config : {nn::NetConfig{6, 4, 8, 2, 1}, nn::NetConfig{6, 4, 4, 3, 0}, nn::NetConfig{}}) {
     auto net = small_net(config);
-    const FoldedNet folded(*net, torch::kCPU, torch::kFloat32);
+    const nn::FoldedNet folded(*net, torch::kCPU, torch::kFloat32);
     for (const auto& size : {std::pair{32, 48}, std::pair{33, 17}}) {
       const auto x = torch::rand({2, 6, size.first, size.second}) * 2 - 1;
       const auto expected = net->forward(x);

@@ -9,8 +9,8 @@
 #include <utility>
 #include <vector>
 
-#include "ajna/engine/folded_net.hpp"
 #include "ajna/nn/flow_graph.hpp"
+#include "ajna/nn/folded_net.hpp"
 #include "ajna/nn/preprocess.hpp"
 #include "ajna/nn/torchscript.hpp"
 #include "nn_fixtures.hpp"
@@ -161,7 +161,7 @@ TEST(FlowVariants, CheckpointScriptAndFoldedNetworkGiveTheSame) {
     EXPECT_EQ(loaded.metadata.net, config) << label(config);
     export_torchscript(*net, metadata, folder.file("m.pt"));
     auto script = torch::jit::load(folder.file("m.pt"));
-    const engine::FoldedNet folded(*net, torch::kCPU, torch::kFloat32);
+    const FoldedNet folded(*net, torch::kCPU, torch::kFloat32);
     const torch::NoGradGuard no_grad;
     for (const auto& [height, width] : std::vector<std::pair<std::int64_t, std::int64_t>>{{32, 32}, {50, 37}, {1, 1}}) {
       const auto frames = torch::randint(256, {2, 2, 3, height, width}, torch::kUInt8);

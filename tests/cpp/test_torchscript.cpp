@@ -44,7 +44,8 @@ TEST_F(TorchScriptTest, EqualsTheModuleAtTheExportedAndAtOtherSizes) {
       const auto frame2 = torch::randint(256, {batch, 3, height, width}, torch::kUInt8);
       const auto x = network_input(frame1, frame2);
       const auto expected = net_->forward(x);
-      const double rounding = 1e-6 * expected.abs().max().item<double>();
+      // Batch normalisation is folded into the convolutions of the file.
+      const double rounding = 3e-6 * expected.abs().max().item<double>();
       EXPECT_LE(largest_difference(script.forward({x}).toTensor(), expected), rounding) << height << "x" << width;
 
       const auto result = script.get_method("predict")({frame1, frame2}).toTuple();

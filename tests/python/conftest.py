@@ -56,16 +56,27 @@ def tiny_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def flight_script(tiny_checkpoint: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """`tiny_checkpoint` as a TorchScript file that passes the flight program's self-test."""
+def flight_checkpoint(tiny_checkpoint: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """`tiny_checkpoint` with larger weights, so that it passes the flight program's self-test."""
     from ajna import nn
+    from ajna.losses import UncertaintyLoss
 
-    path = tmp_path_factory.mktemp("script") / "tiny.pt"
+    path = tmp_path_factory.mktemp("flight") / "tiny.safetensors"
     net, metadata = nn.load_checkpoint(tiny_checkpoint)
     with torch.no_grad():  # untrained weights hardly look at the frames
         for parameter in net.parameters():
             parameter *= 2.5 if parameter.dim() > 1 else 1.0
-    nn.export_torchscript(path, net, metadata)
+    nn.save_checkpoint(path, net, "tiny", UncertaintyLoss(), metadata["flow_scale"])
+    return path
+
+
+@pytest.fixture(scope="session")
+def flight_script(flight_checkpoint: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """`flight_checkpoint` as a TorchScript file."""
+    from ajna import nn
+
+    path = tmp_path_factory.mktemp("script") / "tiny.pt"
+    nn.export_torchscript(path, *nn.load_checkpoint(flight_checkpoint))
     return path
 
 

@@ -18,6 +18,7 @@ import torch
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from ajna.flight_program import SpoolFolder, is_ready
 from ajna.mavlink_vehicle import MavlinkVehicle
 
 WIDTH, HEIGHT = 64, 48
@@ -83,7 +84,7 @@ class SpoolCamera:
     """Moves frames into a folder at 30 Hz. ``mark`` goes into the first pixel, where faulty models look for it."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder = folder
+        self._spool = SpoolFolder(folder)
         self.stalled = False
         self.damaged = False
         self.mark = 0
@@ -106,9 +107,7 @@ class SpoolCamera:
             image = np.roll(self._image, index, axis=1)
             image[0, 0] = self.mark
             data = f"P6 {WIDTH} {HEIGHT} 255\n".encode() + image.tobytes()
-            hidden = self.folder / ".frame"
-            hidden.write_bytes(data[:500] if self.damaged else data)
-            os.replace(hidden, self.folder / f"frame{index % 4}.ppm")
+            self._spool.put_bytes(index, data[:500] if self.damaged else data)
             index += 1
 
 
@@ -331,7 +330,7 @@ class Rig:
 
     def wait_until_ready(self) -> None:
         """Until only the switch is missing."""
-        assert wait_for(lambda: self.said.rstrip().endswith("the pilot's switch is off"), 30), self.said
+        assert wait_for(lambda: is_ready(self.said), 30), self.said
 
     def activate(self) -> None:
         for _ in range(5):  # a busy machine may be too slow for a moment

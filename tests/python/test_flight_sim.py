@@ -14,11 +14,12 @@ pytest.importorskip("mujoco")
 pytest.importorskip("pymavlink", reason="pymavlink is not installed")
 
 import ajna
+from ajna.flight_program import find_program
 from ajna.sim import make_method, make_world
 from ajna.sim.camera import CameraModel
 from ajna.sim.episode import run_episode
 from ajna.sim.gl import NoRenderingError, rendering_backend
-from ajna.sim.methods.program import LOITER_M_S, TRIM_US, FlightProgram, find_program
+from ajna.sim.methods.program import LOITER_M_S, TRIM_US, FlightProgram
 
 try:
     rendering_backend()

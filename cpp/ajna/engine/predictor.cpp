@@ -7,7 +7,7 @@
 #include <utility>
 
 #include "ajna/base/error.hpp"
-#include "ajna/engine/folded_net.hpp"
+#include "ajna/nn/folded_net.hpp"
 #include "ajna/nn/preprocess.hpp"
 #include "ajna/nn/safetensors_header.hpp"
 #include "ajna/nn/torchscript.hpp"
@@ -31,7 +31,7 @@ class CheckpointPredictor : public Predictor {
   }
 
  private:
-  FoldedNet net_;
+  nn::FoldedNet net_;
   nn::UncertaintyTable table_;
   double flow_scale_;
 };

@@ -12,6 +12,7 @@
 
 #include "ajna/base/atomic_file.hpp"
 #include "ajna/base/error.hpp"
+#include "ajna/nn/folded_net.hpp"
 #include "ajna/nn/preprocess.hpp"
 #include "ajna/nn/random_state_guard.hpp"
 #include "ajna/nn/safetensors_header.hpp"
@@ -43,40 +44,10 @@ def predict(self, frame1: Tensor, frame2: Tensor) -> Tuple[Tensor, Tensor, Tenso
     return torch.slice(y, 1, 0, 2) * self.flow_scale, uncertainty, expected_error * self.flow_scale
 )";
 
-/// A copy on the CPU in eval mode, so that the caller's network keeps its mode, device and gradients.
-FlowNet copy_for_export(const FlowNetImpl& net) {
-  const RandomStateGuard random_state;
-  FlowNet copy(net.config());
-  const auto copy_items = [](const auto& from, const auto& to) {
-    for (const auto& item : from) {
-      to[item.key()].copy_(item.value());
-    }
-  };
-  copy_items(net.named_parameters(), copy->named_parameters());
-  copy_items(net.named_buffers(), copy->named_buffers());
-  copy->eval();
-  return copy;
-}
-
 jit::Module make_module(const std::string& name, const CompilationUnit& unit) {
   jit::Module module(c10::QualifiedName("__torch__.ajna." + name), unit, /*shouldMangle=*/true);
   module.register_attribute("training", c10::BoolType::get(), false);
   return module;
-}
-
-/// The same tree with the same tensors, as TorchScript modules.
-jit::Module mirror(const torch::nn::Module& source, const std::string& name, const CompilationUnit& unit) {
-  jit::Module target = make_module(name, unit);
-  for (const auto& parameter : source.named_parameters(/*recurse=*/false)) {
-    target.register_parameter(parameter.key(), parameter.value(), /*is_buffer=*/false);
-  }
-  for (const auto& buffer : source.named_buffers(/*recurse=*/false)) {
-    target.register_buffer(buffer.key(), buffer.value());
-  }
-  for (const auto& child : source.named_children()) {
-    target.register_module(child.key(), mirror(*child.value(), name + "_" + child.key(), unit));
-  }
-  return target;
 }
 
 /// Record `function` as the method `forward` of `self`, whose tensors it may use.
@@ -91,13 +62,17 @@ void trace_forward(jit::Module& self, jit::Stack inputs, const std::vector<std::
   type->addMethod(method);
 }
 
-jit::Module build_script(FlowNet& net, const Metadata& metadata) {
+jit::Module build_script(const FoldedNet& net, const Metadata& metadata) {
   const auto unit = std::make_shared<jit::CompilationUnit>();
   const std::int64_t side = 2 * metadata.net.stride();
 
-  auto traced_net = mirror(*net, "FlowNet", unit);
+  auto traced_net = make_module("FlowNet", unit);
+  const auto tensors = net.tensors();
+  for (std::size_t i = 0; i < tensors.size(); ++i) {
+    traced_net.register_buffer("tensor" + std::to_string(i), tensors[i]);
+  }
   trace_forward(traced_net, {torch::zeros({1, 6, side, side})}, {"x"},
-                [&](const jit::Stack& x) { return net->forward_aligned(x[0].toTensor()); });
+                [&](const jit::Stack& x) { return net.forward_aligned(x[0].toTensor()); });
 
   auto preprocess = make_module("Preprocess", unit);
   const auto frame = torch::zeros({1, 3, side, side}, torch::kUInt8);
@@ -134,7 +109,7 @@ void require_equal(const torch::Tensor& script, const torch::Tensor& module, con
 }
 
 /// Read the file back and compare both methods with the C++ code, at the traced size and at others.
-void verify(const std::string& path, FlowNet& net, const Metadata& metadata) {
+void verify(const std::string& path, const FoldedNet& net, const Metadata& metadata) {
   auto script = jit::load(path);
   const RandomStateGuard random_state;
   const std::int64_t stride = metadata.net.stride();
@@ -143,7 +118,7 @@ void verify(const std::string& path, FlowNet& net, const Metadata& metadata) {
   for (const auto& size : sizes) {
     const auto frame1 = torch::randint(256, size, torch::kUInt8), frame2 = torch::randint(256, size, torch::kUInt8);
     const auto input = network_input(frame1, frame2);
-    const auto output = net->forward(input);
+    const auto output = net.forward(input);
     const auto values = metadata.table.evaluate(output.slice(1, 2, 4));
     require_equal(script.forward({input}).toTensor(), output, "method 'forward'");
     const auto predicted = script.get_method("predict")({frame1, frame2}).toTuple();
@@ -165,13 +140,13 @@ void export_torchscript(const FlowNetImpl& net, const Metadata& metadata, const 
   metadata.table.check();
   const auto strings = format_string_map(metadata_to_strings(metadata));
   const torch::NoGradGuard no_grad;
-  FlowNet copy = copy_for_export(net);
+  const FoldedNet folded(net, torch::kCPU, torch::kFloat32);
   Metadata on_cpu = metadata;
   on_cpu.table = metadata.table.to(torch::kCPU);
   write_atomically(path, [&](const std::string& temporary) {
     try {
-      build_script(copy, on_cpu).save(temporary, {{kScriptMetadataFile, strings}});
-      verify(temporary, copy, on_cpu);
+      build_script(folded, on_cpu).save(temporary, {{kScriptMetadataFile, strings}});
+      verify(temporary, folded, on_cpu);
     } catch (const c10::Error& error) {
       throw_runtime("TorchScript file '" + path + "' cannot be written: " + error.what_without_backtrace());
     }

@@ -15,6 +15,7 @@ import typer
 
 from ajna.cli import errors
 from ajna.cli.bench import bench
+from ajna.cli.bench_flight import flight
 from ajna.cli.calibrate import calibrate
 from ajna.cli.evaluate import evaluate
 from ajna.cli.export import export
@@ -41,6 +42,7 @@ for _command in (predict, video, task, sim, replay, evaluate, calibrate, export,
     app.command()(_command)
 add_benchmarks(bench)
 bench.command()(speed)
+bench.command()(flight)
 app.add_typer(bench, name="bench")
 app.add_typer(study)
 app.add_typer(synth_app, name="synth")

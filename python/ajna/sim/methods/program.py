@@ -8,7 +8,6 @@ clock it flies as on a robot, with its own latency, time-outs and limits. So tri
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
 import tempfile
@@ -19,12 +18,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ajna.flight_program import SpoolFolder, find_program, is_ready
 from ajna.model import checkpoint_path
 from ajna.sim.methods.skills import COAST_S, Autopilot
 from ajna.sim.observation import Observation, Output, TaskSetup
 from ajna.sim.vehicle import Command
 
-__all__ = ["FlightProgram", "find_program"]
+__all__ = ["FlightProgram"]
 
 Floats = NDArray[np.float64]
 
@@ -57,27 +57,12 @@ simulation: {{time_scale: {scale}}}
 """
 
 
-def find_program(path: str | Path | None = None) -> Path:
-    """``ajna_flight``: as given, by the variable AJNA_FLIGHT_PROGRAM, or on the PATH.
-
-    Raises:
-        FileNotFoundError: it is nowhere.
-    """
-    named = path or os.environ.get("AJNA_FLIGHT_PROGRAM") or shutil.which("ajna_flight")
-    if named is None or not Path(named).is_file():
-        where = f"'{named}'" if named else "on the PATH"
-        raise FileNotFoundError(
-            f"the flight program is not {where}: build it (docs/flight.md) and name it by AJNA_FLIGHT_PROGRAM"
-        )
-    return Path(named)
-
-
 class FlightProgram:
     """``ajna_flight`` as a method of the simulation; :meth:`close` it.
 
     Args:
         weights: a model file of Ajna's; None: the shipped one.
-        program: its file; see :func:`find_program`.
+        program: its file; see :func:`ajna.flight_program.find_program`.
         time_scale: how fast its clock runs against time.
         log: a folder for its flight logs, which are otherwise not kept.
 
@@ -114,8 +99,9 @@ class FlightProgram:
         # In memory: the program waits for frames, not for a disk.
         memory = Path("/dev/shm")
         self._folder = Path(tempfile.mkdtemp(prefix="ajna-flight-", dir=memory if memory.is_dir() else None))
-        self._frames = self._folder / "frames"
-        self._frames.mkdir()
+        frames = self._folder / "frames"
+        frames.mkdir()
+        self._camera = SpoolFolder(frames)
         log = self._log or self._folder / "log"
         log.mkdir(parents=True, exist_ok=True)
         self._vehicle = MavlinkVehicle(time_scale=self._scale)
@@ -127,7 +113,7 @@ class FlightProgram:
                 model=self._model,
                 width=camera.width,
                 height=camera.height,
-                frames=self._frames,
+                frames=frames,
                 port=self._vehicle.port,
                 per_m_s=500 / LOITER_M_S,
                 per_rad_s=500 / LOITER_RAD_S,
@@ -186,7 +172,7 @@ class FlightProgram:
 
     def _take_off(self, observation: Observation) -> None:
         """The world stands still until the program has met the autopilot and is active."""
-        self._wait(lambda: self.said.rstrip().endswith("the pilot's switch is off"), observation, "ready")
+        self._wait(lambda: is_ready(self.said), observation, "ready")
         self._vehicle.switch_us = 2000
         self._wait(lambda: self._vehicle.overridden, observation, "active")
         self._slot = time.monotonic()
@@ -202,10 +188,7 @@ class FlightProgram:
     def _deliver(self, observation: Observation) -> None:
         """A frame into the folder, and before it what the vehicle's sensors say of that time."""
         self._send_motion(observation)
-        image = observation.rgb
-        hidden = self._frames / ".frame"
-        hidden.write_bytes(f"P6 {image.shape[1]} {image.shape[0]} 255\n".encode() + image.tobytes())
-        os.replace(hidden, self._frames / f"frame{observation.frame.index % 4}.ppm")
+        self._camera.put(observation.frame.index, observation.rgb)
 
     def _send_motion(self, observation: Observation) -> None:
         heading = observation.heading_from_camera[:, [2, 0, 1]]  # body axes, which are the camera's: forward first

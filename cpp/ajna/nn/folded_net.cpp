@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT
-#include "ajna/engine/folded_net.hpp"
+#include "ajna/nn/folded_net.hpp"
 
 #include <string>
 
-namespace ajna::engine {
+namespace ajna::nn {
 namespace {
 
 namespace F = torch::nn::functional;
@@ -45,17 +45,17 @@ FoldedNet::Convolution FoldedNet::fold(const torch::nn::Module& owner, const std
   return layer;
 }
 
-FoldedNet::FoldedNet(const nn::FlowNetImpl& net, torch::Device device, torch::ScalarType precision)
+FoldedNet::FoldedNet(const FlowNetImpl& net, torch::Device device, torch::ScalarType precision)
     : config_(net.config()), precision_(precision) {
   const torch::NoGradGuard no_grad;
   const auto children = net.named_children();
   for (std::size_t part = 0; part < parts_.size(); ++part) {
-    const auto* list = children.find(nn::part_name(static_cast<nn::Part>(part)));
+    const auto* list = children.find(part_name(static_cast<Part>(part)));
     if (list == nullptr) {
       continue;
     }
     for (const auto& layer : (*list)->children()) {
-      if (layer->as<nn::ConvUnitImpl>() != nullptr) {
+      if (layer->as<ConvUnitImpl>() != nullptr) {
         parts_[part].push_back({fold(*layer, "conv", "norm")});
       } else {
         parts_[part].push_back({fold(*layer, "conv1", "norm1"), fold(*layer, "conv2", "norm2")});
@@ -94,11 +94,27 @@ Tensor FoldedNet::forward(const Tensor& x) const {
   if (pad_y > 0 || pad_x > 0) {
     input = F::pad(input, F::PadFuncOptions({0, pad_x, 0, pad_y}).mode(torch::kReplicate));
   }
-  input = input.to(precision_).contiguous(torch::MemoryFormat::ChannelsLast);
-  const auto layer = [this](nn::Part part, std::size_t index, const Tensor& y) {
-    return run(parts_[static_cast<std::size_t>(part)][index], y);
-  };
-  return nn::run_graph(config_, input, layer).back().slice(2, 0, height).slice(3, 0, width).to(torch::kFloat32);
+  return forward_aligned(input).slice(2, 0, height).slice(3, 0, width);
 }
 
-}  // namespace ajna::engine
+Tensor FoldedNet::forward_aligned(const Tensor& x) const {
+  const auto layer = [this](Part part, std::size_t index, const Tensor& y) {
+    return run(parts_[static_cast<std::size_t>(part)][index], y);
+  };
+  const auto input = x.to(precision_).contiguous(torch::MemoryFormat::ChannelsLast);
+  return run_graph(config_, input, layer).back().to(torch::kFloat32);
+}
+
+std::vector<Tensor> FoldedNet::tensors() const {
+  std::vector<Tensor> result;
+  for (const auto& part : parts_) {
+    for (const auto& block : part) {
+      for (const auto& convolution : block) {
+        result.insert(result.end(), {convolution.weight, convolution.bias});
+      }
+    }
+  }
+  return result;
+}
+
+}  // namespace ajna::nn
