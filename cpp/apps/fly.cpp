@@ -26,6 +26,8 @@ namespace {
 
 constexpr double kWatchEvery_s = 0.02;
 constexpr double kJoin_s = 2.0;
+/// Of the command time-out, how much may be used up on a quiet computer.
+constexpr double kSpeedReserve = 0.8;
 constexpr std::array kEndSignals = {SIGTERM, SIGINT, SIGHUP};
 constexpr std::array kFatalSignals = {SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT};
 
@@ -111,6 +113,21 @@ void check_files(const FlightConfig& config) {
   }
 }
 
+/// Say beforehand where this computer is too slow for the configured time-out: releases in flight would tell later.
+void check_speed(const skills::InferFunction& infer, const FlightConfig& config) {
+  const double pair_s = flight::inference_s(infer, config.loop.width, config.loop.height);
+  const double oldest_s = flight::oldest_command_s(pair_s, 1.0 / config.source.rate_hz);
+  const double limit_s = config.loop.safety.command_timeout_s;
+  spdlog::info("a pair takes {:.0f} ms here: commands get up to {:.0f} ms old", pair_s * 1e3, oldest_s * 1e3);
+  if (oldest_s > kSpeedReserve * limit_s) {
+    spdlog::warn(
+        "that is too close to safety.command_timeout_s ({:.0f} ms): expect releases; choose a smaller model.width_px "
+        "and "
+        "model.height_px, or a quicker computer",
+        limit_s * 1e3);
+  }
+}
+
 void log_start(flight::FlightLog& log, const FlightConfig& config, const engine::ModelInfo& info, bool dry_run) {
   // The wall clock only names the flight; nothing is measured with it.
   std::array<char, 32> date{};
@@ -188,6 +205,7 @@ int fly(const std::string& config_path, bool dry_run) {
   engine->warm_up(config.loop.width, config.loop.height);
   flight::test_model(infer, config.loop.width, config.loop.height);
   spdlog::info("model self-test at {}x{}: passed", config.loop.width, config.loop.height);
+  check_speed(infer, config);
 
   auto log = std::make_unique<flight::FlightLog>(config.log);
   if (!config.log.folder.empty()) {

@@ -13,41 +13,22 @@
 #include "ajna/base/memory.hpp"
 #include "ajna/skills/skill.hpp"
 #include "ajna/tasks/segment.hpp"
+#include "frames.hpp"
 
 namespace {
 
+using namespace ajna::bench;
 using namespace ajna::skills;
 
-constexpr int kWidth = 320;
-constexpr int kHeight = 240;
 constexpr double kFov_rad = 1.2;
 constexpr double kFrame_s = 1.0 / 30.0;
 
-/// Texture, as a wall has it, moved by some pixels.
-cv::Mat texture(double shift_px) {
-  cv::Mat image(kHeight, kWidth, CV_8UC3);
-  cv::RNG random(1);
-  random.fill(image, cv::RNG::UNIFORM, 0, 256);
-  cv::GaussianBlur(image, image, {0, 0}, 2.0);
-  cv::normalize(image, image, 0, 255, cv::NORM_MINMAX);
-  const cv::Mat warp = (cv::Mat_<double>(2, 3) << 1, 0, shift_px, 0, 1, -0.5 * shift_px);
-  cv::Mat moved;
-  cv::warpAffine(image, moved, warp, image.size(), cv::INTER_LINEAR, cv::BORDER_REFLECT);
-  return moved;
-}
-
-ajna::ImageView view_of(const cv::Mat& image) {
-  return {image.data, image.cols, image.rows, 3, static_cast<std::ptrdiff_t>(image.step[0])};
-}
+/// The wall, seen from a little aside.
+cv::Mat wall(double shift_px) { return moved(texture(), shift_px, -0.5 * shift_px); }
 
 /// A network's answer: noise, an upright rim, and something of `radius` at `x`.
 ajna::FlowField answer(double x, int radius) {
-  cv::Mat map(kHeight, kWidth, CV_32F);
-  cv::RNG random(7);
-  random.fill(map, cv::RNG::UNIFORM, 0.25, 0.35);
-  cv::circle(map, {cvRound(x), 120}, radius, 1.4, cv::FILLED);
-  cv::rectangle(map, {30, 20}, {60, 239}, 0.8, 6);
-  cv::GaussianBlur(map, map, {0, 0}, 2.0);
+  const cv::Mat map = map_with({cvRound(x), 120}, radius);
   ajna::FlowField field;
   field.width = kWidth;
   field.height = kHeight;
@@ -101,7 +82,7 @@ struct Flight {
 
 /// Something comes nearer, again and again: background, track and direction.
 void dodge(benchmark::State& state) {
-  Flight flight{{texture(0), texture(1)}, {}};
+  Flight flight{{wall(0), wall(1)}, {}};
   for (int i = 0; i < 40; ++i) {
     flight.answers.push_back(answer(120 + 3 * i, i < 25 ? 0 : i - 20));
   }
@@ -113,7 +94,7 @@ void dodge(benchmark::State& state) {
 
 /// At 4 m/s past upright things: horizon, memory and corridor.
 void navigate(benchmark::State& state) {
-  Flight flight{{texture(0), texture(3)}, {}};
+  Flight flight{{wall(0), wall(3)}, {}};
   for (int i = 0; i < 40; ++i) {
     flight.answers.push_back(answer(60 + 5 * i, 20));
   }
@@ -125,7 +106,7 @@ void navigate(benchmark::State& state) {
 
 /// Before a wall without a gap: alignment, stacking, looking.
 void gap_explore(benchmark::State& state) {
-  Flight flight{{texture(0), texture(2), texture(4)}, {answer(180, 2)}};
+  Flight flight{{wall(0), wall(2), wall(4)}, {answer(180, 2)}};
   const auto skill = flight.skill(Task::kGap);
   for (auto _ : state) {
     benchmark::DoNotOptimize(skill->plan(flight.next(0.0)));
@@ -134,7 +115,7 @@ void gap_explore(benchmark::State& state) {
 
 /// A gap was found: levelling and tracking.
 void gap_track(benchmark::State& state) {
-  Flight flight{{texture(0), texture(2)}, {answer(180, 45)}};
+  Flight flight{{wall(0), wall(2)}, {answer(180, 45)}};
   const auto skill = flight.skill(Task::kGap);
   SkillOutput output;
   for (int i = 0; i < 100 && output.status != "tracking"; ++i) {
@@ -151,7 +132,7 @@ void gap_track(benchmark::State& state) {
 
 /// Two views of a table: alignment, attention, segmentation.
 void pile(benchmark::State& state) {
-  Flight flight{{texture(0), texture(4)}, {answer(180, 45)}};
+  Flight flight{{wall(0), wall(4)}, {answer(180, 45)}};
   const Signal signal = network_signal([&](const ajna::ImageView&, const ajna::ImageView&, ajna::FlowField& field,
                                            double) { give(flight.answers[0], field); },
                                        kFov_rad);
@@ -164,17 +145,6 @@ void pile(benchmark::State& state) {
   for (auto _ : state) {
     const SignalMap seen = signal(first, second, CommonMotion::kPlane);
     benchmark::DoNotOptimize(ajna::tasks::segment_pile(first.image.view(), seen.map));
-  }
-}
-
-/// What other figures can be compared with on another machine: one pass over a map.
-void reference_blur_320x240(benchmark::State& state) {
-  cv::setNumThreads(1);
-  const cv::Mat map(kHeight, kWidth, CV_32F, cv::Scalar(0.3F));
-  cv::Mat smooth;
-  for (auto _ : state) {
-    cv::GaussianBlur(map, smooth, {}, 1.5, 1.5, cv::BORDER_REPLICATE);
-    benchmark::DoNotOptimize(smooth.data);
   }
 }
 

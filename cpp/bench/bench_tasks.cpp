@@ -3,7 +3,6 @@
 #include <benchmark/benchmark.h>
 
 #include <opencv2/core.hpp>
-#include <opencv2/core/utility.hpp>
 #include <opencv2/imgproc.hpp>
 
 #include "ajna/base/memory.hpp"
@@ -11,38 +10,12 @@
 #include "ajna/tasks/gap.hpp"
 #include "ajna/tasks/navigate.hpp"
 #include "ajna/tasks/segment.hpp"
+#include "frames.hpp"
 
 namespace {
 
+using namespace ajna::bench;
 using namespace ajna::tasks;
-
-constexpr int kWidth = 320;
-constexpr int kHeight = 240;
-
-/// Noise about 0.3 with rims of things in it, as smooth as a network's output.
-cv::Mat map_with(cv::Point center, int radius) {
-  cv::setNumThreads(1);
-  cv::Mat map(kHeight, kWidth, CV_32F);
-  cv::RNG random(7);
-  random.fill(map, cv::RNG::UNIFORM, 0.25, 0.35);
-  cv::circle(map, center, radius, 1.4, cv::FILLED);
-  cv::rectangle(map, {30, 20}, {60, 239}, 0.8, 6);
-  cv::GaussianBlur(map, map, {0, 0}, 2.0);
-  return map;
-}
-
-cv::Mat texture() {
-  cv::Mat image(kHeight, kWidth, CV_8UC3);
-  cv::RNG random(1);
-  random.fill(image, cv::RNG::UNIFORM, 0, 256);
-  cv::GaussianBlur(image, image, {0, 0}, 2.0);
-  cv::normalize(image, image, 0, 255, cv::NORM_MINMAX);
-  return image;
-}
-
-ajna::ImageView view_of(const cv::Mat& image) {
-  return {image.data, image.cols, image.rows, 3, static_cast<std::ptrdiff_t>(image.step[0])};
-}
 
 void find_regions_320x240(benchmark::State& state) {
   const cv::Mat map = map_with({180, 120}, 20);
@@ -83,12 +56,7 @@ void gap_stack_and_detect_320x240(benchmark::State& state) {
 void gap_track_320x240(benchmark::State& state) {
   const cv::Mat map = map_with({180, 120}, 45);
   const cv::Mat frame = texture();
-  const cv::Mat other = [&] {
-    cv::Mat moved;
-    const cv::Mat warp = (cv::Mat_<double>(2, 3) << 1, 0, 2, 0, 1, -1);
-    cv::warpAffine(frame, moved, warp, frame.size(), cv::INTER_LINEAR, cv::BORDER_REFLECT);
-    return moved;
-  }();
+  const cv::Mat other = moved(frame, 2, -1);
   GapPipeline pipeline;
   double t = 0.0;
   pipeline.step(view_of(frame), {}, t);
@@ -115,17 +83,6 @@ void segment_320x240(benchmark::State& state, SegmentMethod method) {
   options.method = method;
   for (auto _ : state) {
     benchmark::DoNotOptimize(segment_pile(view_of(frame), map, options));
-  }
-}
-
-/// What other figures can be compared with on another machine: one pass over a map.
-void reference_blur_320x240(benchmark::State& state) {
-  cv::setNumThreads(1);
-  const cv::Mat map(kHeight, kWidth, CV_32F, cv::Scalar(0.3F));
-  cv::Mat smooth;
-  for (auto _ : state) {
-    cv::GaussianBlur(map, smooth, {}, 1.5, 1.5, cv::BORDER_REPLICATE);
-    benchmark::DoNotOptimize(smooth.data);
   }
 }
 

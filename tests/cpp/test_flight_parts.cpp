@@ -5,12 +5,14 @@
 #include <unistd.h>
 
 #include <array>
+#include <chrono>
 #include <cmath>
 #include <csignal>
 #include <filesystem>
 #include <fstream>
 #include <limits>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include "ajna/base/error.hpp"
@@ -188,6 +190,24 @@ TEST(SelfTest, RefusesWhatIsNoNetwork) {
         f = field_of(ImageView{a.data, 32, 24, 3, 96}, 1, 1);
       },
       "another size");
+}
+
+TEST(SelfTest, KnowsHowLongAPairTakes) {
+  int calls = 0;
+  const double pair_s = inference_s(
+      [&](auto& a, auto&, FlowField& f, double) {
+        f = field_of(a, 1.0F, 0.5F);
+        std::this_thread::sleep_for(std::chrono::milliseconds(calls++ == 0 ? 200 : 10));  // the slowest does not count
+      },
+      64, 48);
+  EXPECT_EQ(calls, 5);
+  EXPECT_GE(pair_s, 0.01);
+  EXPECT_LT(pair_s, 0.2);
+}
+
+TEST(SelfTest, KnowsHowOldCommandsGet) {
+  EXPECT_DOUBLE_EQ(oldest_command_s(0.02, 0.03), 0.05);  // taken at once, replaced after the next frame
+  EXPECT_DOUBLE_EQ(oldest_command_s(0.05, 0.03), 0.13);  // waits for the network, which then has the next one to do
 }
 
 TEST(Source, FolderWithTimeStampsIsPlayedAtThem) {

@@ -290,6 +290,7 @@ class Rig:
         model: Path,
         *arguments: str,
         patient: bool = True,
+        timeouts: str | None = None,
         bridge: Callable[[int], Bridge] | None = None,
         **popen: Any,
     ) -> None:
@@ -306,7 +307,7 @@ class Rig:
             endpoint=self.bridge.endpoint if self.bridge else f"udpout:127.0.0.1:{self.autopilot.port}",
             log=self.log,
             deadline=", deadline_s: 1.0" if patient else "",
-            timeouts=PATIENT if patient else "",
+            timeouts=timeouts or (PATIENT if patient else ""),
         )
         config.write_text(text)
         self.stderr = folder / "stderr.txt"

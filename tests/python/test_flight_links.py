@@ -55,3 +55,16 @@ def test_a_broken_connection_comes_back_released(rig: Rig) -> None:
     rig.autopilot.set_switch(1000)
     rig.activate()
     assert rig.process.poll() is None
+
+
+@pytest.mark.parametrize(("timeout_s", "warned"), [(1.0, False), (0.03, True)])
+def test_a_computer_too_slow_is_told_beforehand(
+    flight_script: Path, tmp_path: Path, timeout_s: float, warned: bool
+) -> None:
+    """Frames come every 33 ms: no command can be younger than 30 ms all the time."""
+    rig = Rig(PROGRAM, tmp_path, flight_script, timeouts=f", command_timeout_s: {timeout_s}")
+    try:
+        assert wait_for(lambda: "a pair takes" in rig.said and "log:" in rig.said, 30), rig.said
+        assert ("expect releases" in rig.said) == warned, rig.said
+    finally:
+        rig.close()

@@ -2,12 +2,14 @@
 #include "ajna/flight/self_test.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdint>
 #include <string>
 #include <vector>
 
 #include "ajna/base/error.hpp"
+#include "ajna/flight/source.hpp"
 
 namespace ajna::flight {
 namespace {
@@ -100,6 +102,24 @@ void test_model(const skills::InferFunction& infer, int width, int height) {
       !(largest_difference(moved.uncertainty, other.uncertainty) > 1e-6)) {
     refuse("its answer does not depend on the frames");
   }
+}
+
+double inference_s(const skills::InferFunction& infer, int width, int height) {
+  const Image first = test_frame(width, height, 1, 0, 0);
+  const Image second = test_frame(width, height, 1, 3, 1);
+  FlowField field;
+  std::array<double, 5> durations{};
+  for (double& duration : durations) {
+    const double began = monotonic_s();
+    infer(first.view(), second.view(), field, 0.0);
+    duration = monotonic_s() - began;
+  }
+  std::sort(durations.begin(), durations.end());
+  return durations[durations.size() / 2];
+}
+
+double oldest_command_s(double inference_s, double frame_interval_s) noexcept {
+  return frame_interval_s + (inference_s > frame_interval_s ? 2.0 : 1.0) * inference_s;
 }
 
 }  // namespace ajna::flight

@@ -14,4 +14,11 @@ Image test_frame(int width, int height, int seed, int shift_x, int shift_y);
 /// Throws Error(kInvalidArgument) that says what is wrong, and what `infer` throws.
 void test_model(const skills::InferFunction& infer, int width, int height);
 
+/// Median of five runs of the network on built-in frames, seconds. Throws what `infer` throws.
+double inference_s(const skills::InferFunction& infer, int width, int height);
+
+/// How old the frame behind the newest command gets, seconds, before the next command replaces it: where a pair takes
+/// longer than a frame interval, the network is busy when a frame comes, and twice until the next command is there.
+double oldest_command_s(double inference_s, double frame_interval_s) noexcept;
+
 }  // namespace ajna::flight

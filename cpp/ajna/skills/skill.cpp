@@ -6,19 +6,13 @@
 #include <utility>
 
 #include "ajna/base/error.hpp"
+#include "ajna/base/range.hpp"
 #include "ajna/skills/skill_parts.hpp"
 
 namespace ajna::skills {
 namespace {
 
 constexpr std::size_t kMostFrames = 16;
-
-void between(double value, double low, double high, const char* name) {
-  if (!(value >= low && value <= high)) {
-    throw_invalid("task." + std::string(name) + " = " + std::to_string(value) + ": give " + std::to_string(low) +
-                  " to " + std::to_string(high));
-  }
-}
 
 Signal no_signal() {
   return [](const Snapshot&, const Snapshot&, CommonMotion) -> SignalMap { throw_runtime("no signal"); };
@@ -51,22 +45,22 @@ const char* to_string(Task task) noexcept {
 }
 
 void validate(const SkillOptions& options) {
-  between(options.horizontal_fov_rad, 0.1, 3.0, "horizontal_fov_rad");
-  between(options.planning_rate_hz, 2.0, 200.0, "planning_rate_hz");
-  between(options.max_interval_s, 0.01, 1.0, "max_interval_s");
-  between(options.goal_bearing_rad, -3.15, 3.15, "goal_bearing_rad");
-  between(options.dodge_pair_s, 0.0, options.max_interval_s, "dodge_pair_s");
-  between(options.baseline_s, 0.005, 0.5, "baseline_s");
-  between(options.max_turn_rad_s, 0.1, 100.0, "max_turn_rad_s");
-  between(options.height_gain, 0.0, 10.0, "height_gain");
-  between(options.largest_slope, 0.0, 1.0, "largest_slope");
-  between(options.settle_s, 0.0, 10.0, "settle_s");
-  between(options.rest_m_s, 0.01, 2.0, "rest_m_s");
-  between(options.rest_rad, 0.01, 0.5, "rest_rad");
-  between(options.fewest_pairs, 1, 100, "fewest_pairs");
-  between(options.first_look_s, 0.0, 5.0, "first_look_s");
-  between(options.last_look_s, options.first_look_s, 10.0, "last_look_s");
-  between(options.slew_m_s2, 0.1, 50.0, "slew_m_s2");
+  require_between("task.horizontal_fov_rad", options.horizontal_fov_rad, 0.1, 3.0);
+  require_between("task.planning_rate_hz", options.planning_rate_hz, 2.0, 200.0);
+  require_between("task.max_interval_s", options.max_interval_s, 0.01, 1.0);
+  require_between("task.goal_bearing_rad", options.goal_bearing_rad, -3.15, 3.15);
+  require_between("task.dodge_pair_s", options.dodge_pair_s, 0.0, options.max_interval_s);
+  require_between("task.baseline_s", options.baseline_s, 0.005, 0.5);
+  require_between("task.max_turn_rad_s", options.max_turn_rad_s, 0.1, 100.0);
+  require_between("task.height_gain", options.height_gain, 0.0, 10.0);
+  require_between("task.largest_slope", options.largest_slope, 0.0, 1.0);
+  require_between("task.settle_s", options.settle_s, 0.0, 10.0);
+  require_between("task.rest_m_s", options.rest_m_s, 0.01, 2.0);
+  require_between("task.rest_rad", options.rest_rad, 0.01, 0.5);
+  require_between("task.fewest_pairs", options.fewest_pairs, 1, 100);
+  require_between("task.first_look_s", options.first_look_s, 0.0, 5.0);
+  require_between("task.last_look_s", options.last_look_s, options.first_look_s, 10.0);
+  require_between("task.slew_m_s2", options.slew_m_s2, 0.1, 50.0);
   SkillOptions other = options;
   for (const Task task : {Task::kDodge, Task::kNavigate, Task::kGap}) {
     other.task = task;

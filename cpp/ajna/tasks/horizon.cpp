@@ -9,17 +9,11 @@
 #include <string>
 
 #include "ajna/base/error.hpp"
+#include "ajna/base/range.hpp"
 #include "ajna/geometry/camera.hpp"
 
 namespace ajna::tasks {
 namespace {
-
-void between(double value, double low, double high, const char* name) {
-  if (!(value >= low && value <= high)) {
-    throw_invalid("navigate options: " + std::string(name) + " = " + std::to_string(value) + ": give " +
-                  std::to_string(low) + " to " + std::to_string(high));
-  }
-}
 
 /// Rows of a column that lie in the band about the horizon, and the horizon's own.
 struct Band {
@@ -48,13 +42,13 @@ std::optional<Band> band_of(const geometry::Camera& camera, const Eigen::Matrix3
 }  // namespace
 
 void validate(const HorizonOptions& options) {
-  between(options.band, 0.01, 1.0, "horizon.band");
-  between(options.floor, 0.0, 100.0, "horizon.floor");
-  between(options.per_px, 1e-4, 100.0, "horizon.per_px");
-  between(options.least_shift_px, 0.0, 1000.0, "horizon.least_shift_px");
-  between(options.max_distance_m, 1.0, 1000.0, "horizon.max_distance_m");
-  between(options.min_move_m, 1e-3, 10.0, "horizon.min_move_m");
-  between(options.column_step, 1, 64, "horizon.column_step");
+  require_between("navigate options: horizon.band", options.band, 0.01, 1.0);
+  require_between("navigate options: horizon.floor", options.floor, 0.0, 100.0);
+  require_between("navigate options: horizon.per_px", options.per_px, 1e-4, 100.0);
+  require_between("navigate options: horizon.least_shift_px", options.least_shift_px, 0.0, 1000.0);
+  require_between("navigate options: horizon.max_distance_m", options.max_distance_m, 1.0, 1000.0);
+  require_between("navigate options: horizon.min_move_m", options.min_move_m, 1e-3, 10.0);
+  require_between("navigate options: horizon.column_step", options.column_step, 1, 64);
 }
 
 std::optional<Obstacles> horizon_obstacles(const cv::Mat& map, const cv::Mat& valid,
@@ -110,23 +104,23 @@ std::optional<Obstacles> horizon_obstacles(const cv::Mat& map, const cv::Mat& va
 }
 
 void validate(const CorridorOptions& options) {
-  between(options.half_width_m, 0.05, 10.0, "corridor.half_width_m");
-  between(options.room_m, 0.0, 10.0, "corridor.room_m");
-  between(options.fan_rad, 0.05, 1.5, "corridor.fan_rad");
-  between(options.directions, 3, 1001, "corridor.directions");
-  between(options.horizon_m, 1.0, 1000.0, "corridor.horizon_m");
-  between(options.remember_m, 0.0, 1000.0, "corridor.remember_m");
-  between(options.remember_s, 0.0, 10.0, "corridor.remember_s");
-  between(options.remember_move_m, 0.0, 100.0, "corridor.remember_move_m");
-  between(options.stay_m, 0.0, 100.0, "corridor.stay_m");
-  between(options.support, 1, 1000, "corridor.support");
-  between(options.room_weight, 0.0, 10.0, "corridor.room_weight");
-  between(options.goal_weight, 0.0, 10.0, "corridor.goal_weight");
-  between(options.keep_weight, 0.0, 10.0, "corridor.keep_weight");
-  between(options.need_m, 0.1, 100.0, "corridor.need_m");
-  between(options.need_weight, 0.0, 10.0, "corridor.need_weight");
-  between(options.brake_m_s2, 0.1, 50.0, "corridor.brake_m_s2");
-  between(options.stop_m, 0.0, 10.0, "corridor.stop_m");
+  require_between("navigate options: corridor.half_width_m", options.half_width_m, 0.05, 10.0);
+  require_between("navigate options: corridor.room_m", options.room_m, 0.0, 10.0);
+  require_between("navigate options: corridor.fan_rad", options.fan_rad, 0.05, 1.5);
+  require_between("navigate options: corridor.directions", options.directions, 3, 1001);
+  require_between("navigate options: corridor.horizon_m", options.horizon_m, 1.0, 1000.0);
+  require_between("navigate options: corridor.remember_m", options.remember_m, 0.0, 1000.0);
+  require_between("navigate options: corridor.remember_s", options.remember_s, 0.0, 10.0);
+  require_between("navigate options: corridor.remember_move_m", options.remember_move_m, 0.0, 100.0);
+  require_between("navigate options: corridor.stay_m", options.stay_m, 0.0, 100.0);
+  require_between("navigate options: corridor.support", options.support, 1, 1000);
+  require_between("navigate options: corridor.room_weight", options.room_weight, 0.0, 10.0);
+  require_between("navigate options: corridor.goal_weight", options.goal_weight, 0.0, 10.0);
+  require_between("navigate options: corridor.keep_weight", options.keep_weight, 0.0, 10.0);
+  require_between("navigate options: corridor.need_m", options.need_m, 0.1, 100.0);
+  require_between("navigate options: corridor.need_weight", options.need_weight, 0.0, 10.0);
+  require_between("navigate options: corridor.brake_m_s2", options.brake_m_s2, 0.1, 50.0);
+  require_between("navigate options: corridor.stop_m", options.stop_m, 0.0, 10.0);
 }
 
 CorridorPlanner::CorridorPlanner(const CorridorOptions& options) : options_(options) { validate(options); }

@@ -12,6 +12,7 @@ from ajna.baselines import FlowMethod
 from ajna.bootstrap import bootstrap_interval
 from ajna.data.synthetic import SyntheticScenes
 from ajna.evaluation import Scores, evaluate
+from ajna.studies.checks import check_scenes
 
 __all__ = ["COLUMNS", "PresetOptions", "PresetRow", "markdown", "run"]
 
@@ -39,8 +40,7 @@ class PresetOptions:
     presets: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        if self.scenes < 2 or self.seed < 0:
-            raise ValueError(f"study of {self.scenes} scenes, seed {self.seed}: give at least 2 scenes, a seed >= 0")
+        check_scenes("preset", self.scenes, self.seed, self.width, self.height)
         known = synth.presets()
         for name in self.presets:
             if name not in known:

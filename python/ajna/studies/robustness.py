@@ -20,6 +20,7 @@ from ajna import analysis
 from ajna.analysis import AT_PX, AWAY_PX, BORDER_PX, FLAT_GREY, LEAST_PX
 from ajna.bootstrap import bootstrap_interval
 from ajna.metrics.functions import roc_auc
+from ajna.studies.checks import check_scenes
 from ajna.studies.disturbances import DISTURBANCES, Patch, StudyScene, disturbed, make_scene, with_patch
 
 __all__ = ["Condition", "RobustnessOptions", "RobustnessStudy", "SceneFigures", "measure", "run"]
@@ -41,13 +42,9 @@ class RobustnessOptions:
     attacked: int = 8
 
     def __post_init__(self) -> None:
-        if self.scenes < 2 or self.seed < 0 or self.attacked < 1:
-            raise ValueError(
-                f"robustness study of {self.scenes} scenes, seed {self.seed}, {self.attacked} attacked: give at least "
-                "2 scenes, a seed of at least 0 and at least 1 scene to attack"
-            )
-        if self.width < 64 or self.height < 64:
-            raise ValueError(f"robustness study at {self.width}x{self.height}: give at least 64x64 pixels")
+        check_scenes("robustness", self.scenes, self.seed, self.width, self.height, least_px=64)
+        if self.attacked < 1:
+            raise ValueError(f"robustness study with {self.attacked} scenes to attack: give at least 1")
 
 
 @dataclass
