@@ -77,6 +77,17 @@ def test_a_program_that_is_not_there_is_named(tmp_path: Path, monkeypatch: pytes
         make_method("flight")
 
 
+@pytest.mark.parametrize("text", ["0", "2", "fast", "nan"])
+def test_a_time_scale_out_of_range_is_refused(
+    text: str, tiny_checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = tmp_path / "ajna_flight"
+    program.touch()
+    monkeypatch.setenv("AJNA_FLIGHT_TIME_SCALE", text)
+    with pytest.raises(ValueError, match=f"AJNA_FLIGHT_TIME_SCALE is '{text}'"):
+        FlightProgram(tiny_checkpoint, program)
+
+
 def test_a_program_that_ends_is_reported(tmp_path: Path) -> None:
     script = tmp_path / "broken"
     script.write_text("#!/bin/sh\necho this machine has no wings >&2\nexit 3\n")

@@ -8,6 +8,7 @@ clock it flies as on a robot, with its own latency, time-outs and limits. So tri
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import tempfile
@@ -57,17 +58,29 @@ simulation: {{time_scale: {scale}}}
 """
 
 
+def _time_scale() -> float:
+    text = os.environ.get("AJNA_FLIGHT_TIME_SCALE", "0.08")
+    try:
+        scale = float(text)
+    except ValueError:
+        scale = 0.0
+    if not 0.01 <= scale <= 1.0:
+        raise ValueError(f"AJNA_FLIGHT_TIME_SCALE is '{text}': give 0.01 to 1")
+    return scale
+
+
 class FlightProgram:
     """``ajna_flight`` as a method of the simulation; :meth:`close` it.
 
     Args:
         weights: a model file of Ajna's; None: the shipped one.
         program: its file; see :func:`ajna.flight_program.find_program`.
-        time_scale: how fast its clock runs against time.
+        time_scale: how fast its clock runs against time; None: the variable AJNA_FLIGHT_TIME_SCALE, or 0.08.
         log: a folder for its flight logs, which are otherwise not kept.
 
     Raises:
-        FileNotFoundError: there is no such program or model; ValueError: pymavlink is missing.
+        FileNotFoundError: there is no such program or model.
+        ValueError: pymavlink is missing, or the time scale is out of range.
     """
 
     name = "flight"
@@ -79,12 +92,12 @@ class FlightProgram:
         self,
         weights: str | Path | None = None,
         program: str | Path | None = None,
-        time_scale: float = 0.08,
+        time_scale: float | None = None,
         log: Path | None = None,
     ) -> None:
         self._program = find_program(program)
         self._model = Path(weights) if weights is not None else checkpoint_path("best")
-        self._scale = time_scale
+        self._scale = time_scale if time_scale is not None else _time_scale()
         self._log = log
         self._process: subprocess.Popen[bytes] | None = None
 
@@ -152,7 +165,7 @@ class FlightProgram:
         if self._count > 20 and self._late > LATE_SHARE * self._count:
             raise RuntimeError(
                 f"{self._late} of {self._count} frames were rendered too late: this machine is too slow, or too busy, "
-                f"for a time scale of {self._scale}; give a smaller one"
+                f"for a time scale of {self._scale}; give a smaller one by AJNA_FLIGHT_TIME_SCALE"
             )
         self._deliver(observation)
         command = self._sticks()
