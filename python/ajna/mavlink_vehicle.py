@@ -75,14 +75,17 @@ class MavlinkVehicle:
 
     def send_motion(
         self,
+        time_s: float,
         euler_rad: tuple[float, float, float],
         rates_rad_s: tuple[float, float, float],
         velocity_ned_m_s: tuple[float, float, float],
     ) -> None:
-        """Send ATTITUDE and LOCAL_POSITION_NED now; set ``attitude_every_s`` to None first."""
+        """Send ATTITUDE and LOCAL_POSITION_NED now, stamped with the vehicle's time; set ``attitude_every_s`` to None
+        first."""
+        stamp_ms = round(1e3 * time_s)
         with self._lock:
-            self.mav.attitude_send(0, *euler_rad, *rates_rad_s)
-            self.mav.local_position_ned_send(0, 0.0, 0.0, 0.0, *velocity_ned_m_s)
+            self.mav.attitude_send(stamp_ms, *euler_rad, *rates_rad_s)
+            self.mav.local_position_ned_send(stamp_ms, 0.0, 0.0, 0.0, *velocity_ned_m_s)
 
     def _run(self) -> None:
         due = dict.fromkeys(("heartbeat", "status", "rc", "attitude"), 0.0)
@@ -123,7 +126,8 @@ class MavlinkVehicle:
         self.mav.rc_channels_send(0, 16, *channels, 200)
 
     def _send_attitude(self) -> None:
-        self.mav.attitude_send(0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+        stamp_ms = round(1e3 * time.monotonic() * self._time_scale) % 2**32
+        self.mav.attitude_send(stamp_ms, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
     def _take(self, now: float, message: Any) -> None:
         """A message that has come; ``now``: time.monotonic()."""

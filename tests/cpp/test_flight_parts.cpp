@@ -11,6 +11,7 @@
 #include <filesystem>
 #include <fstream>
 #include <limits>
+#include <random>
 #include <string>
 #include <thread>
 #include <vector>
@@ -23,6 +24,7 @@
 #include "ajna/flight/latency.hpp"
 #include "ajna/flight/latest.hpp"
 #include "ajna/flight/self_test.hpp"
+#include "ajna/flight/sender_clock.hpp"
 #include "ajna/flight/source.hpp"
 #include "ajna/io/image_io.hpp"
 #include "io_files.hpp"
@@ -108,6 +110,42 @@ TEST(Latest, KeepsTheOneBefore) {
   EXPECT_EQ(place.dropped(), 2U);
   EXPECT_FALSE(place.take(0.0, &before));
   EXPECT_FALSE(before);
+}
+
+TEST(SenderClock, TakesTheDelaysOut) {
+  SenderClock clock;
+  std::mt19937 random(1);
+  std::uniform_real_distribution<double> delay_s(0.002, 0.02);
+  double worst_s = 0.0;
+  for (int i = 0; i < 3000; ++i) {  // a minute at 50 Hz; the sender's clock runs 50 ppm fast and began at 7.3 s of ours
+    const double sent_s = 7.3 + 0.02 * i;
+    const double arrival_s = sent_s + delay_s(random);
+    const double found_s = clock.sent_s(static_cast<std::uint32_t>(1000.0 * 1.00005 * 0.02 * i + 1000.0), arrival_s);
+    EXPECT_LE(found_s, arrival_s);
+    if (i > 100) {
+      worst_s = std::max(worst_s, std::abs(found_s - sent_s - 0.002));
+    }
+  }
+  EXPECT_LT(worst_s, 0.003);  // stamps are whole milliseconds
+}
+
+TEST(SenderClock, GoesByTheArrivalWithoutAClock) {
+  SenderClock clock;
+  for (int i = 0; i < 10; ++i) {
+    EXPECT_DOUBLE_EQ(clock.sent_s(0, 5.0 + i), 5.0 + i);
+  }
+}
+
+TEST(SenderClock, FollowsAJump) {
+  SenderClock clock;
+  EXPECT_DOUBLE_EQ(clock.sent_s(1000, 5.0), 5.0);
+  EXPECT_NEAR(clock.sent_s(1020, 5.03), 5.02, 1e-4);  // ten milliseconds late
+  EXPECT_DOUBLE_EQ(clock.sent_s(30, 5.04), 5.04);     // the autopilot has begun anew
+  EXPECT_DOUBLE_EQ(clock.sent_s(50, 5.06), 5.06);
+  EXPECT_NEAR(clock.sent_s(70, 5.09), 5.08, 1e-4);
+  EXPECT_DOUBLE_EQ(clock.sent_s(5000, 5.10), 5.10);  // its clock was set
+  EXPECT_NEAR(clock.sent_s(5020, 5.15), 5.12, 1e-4);
+  EXPECT_DOUBLE_EQ(clock.sent_s(5040, 9.0), 9.0);  // nothing for seconds: ours may have jumped
 }
 
 TEST(AttitudeHistory, BetweenSamplesAndALittleBeyond) {

@@ -11,7 +11,7 @@
 
 namespace ajna::flight {
 
-/// What an ATTITUDE message said when it arrived.
+/// What an ATTITUDE message said, and when it was sent by our clock.
 struct AttitudeSample {
   double time_s = 0.0;
   Eigen::Vector3d euler_rad = Eigen::Vector3d::Zero();    ///< roll, pitch, yaw of the body (forward, right, down)

@@ -102,7 +102,8 @@ void read_message(const mavlink_message_t& frame, Received& received) {
     case MAVLINK_MSG_ID_ATTITUDE: {
       mavlink_attitude_t raw;
       mavlink_msg_attitude_decode(&frame, &raw);
-      const AttitudeMessage message{{raw.roll, raw.pitch, raw.yaw}, {raw.rollspeed, raw.pitchspeed, raw.yawspeed}};
+      const AttitudeMessage message{
+          {raw.roll, raw.pitch, raw.yaw}, {raw.rollspeed, raw.pitchspeed, raw.yawspeed}, raw.time_boot_ms};
       const auto finite = [](double value) { return std::isfinite(value); };
       if (std::all_of(message.euler_rad.begin(), message.euler_rad.end(), finite) &&
           std::all_of(message.rates_rad_s.begin(), message.rates_rad_s.end(), finite)) {

@@ -47,6 +47,7 @@ struct RcChannelsMessage {
 struct AttitudeMessage {
   std::array<double, 3> euler_rad{};    ///< roll, pitch, yaw
   std::array<double, 3> rates_rad_s{};  ///< body: forward, right, down
+  std::uint32_t boot_ms = 0;            ///< when, by the autopilot's clock
 };
 
 struct VelocityMessage {

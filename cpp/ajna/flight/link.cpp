@@ -99,8 +99,9 @@ void Link::take(const Received& frame, double now_s) {
     vehicle_.attitude = *attitude;
     vehicle_.attitude_s = now_s;
     if (attitudes_.size() < kAttitudes) {
-      attitudes_.push_back(
-          {now_s, Eigen::Vector3d(attitude->euler_rad.data()), Eigen::Vector3d(attitude->rates_rad_s.data())});
+      attitudes_.push_back({attitude_clock_.sent_s(attitude->boot_ms, now_s),
+                            Eigen::Vector3d(attitude->euler_rad.data()),
+                            Eigen::Vector3d(attitude->rates_rad_s.data())});
     }
   } else if (const auto* velocity = std::get_if<VelocityMessage>(&frame.message)) {
     vehicle_.velocity = *velocity;

@@ -14,6 +14,7 @@
 #include "ajna/flight/codec.hpp"
 #include "ajna/flight/command_output.hpp"
 #include "ajna/flight/parameters.hpp"
+#include "ajna/flight/sender_clock.hpp"
 #include "ajna/flight/transport.hpp"
 
 namespace ajna::flight {
@@ -80,6 +81,7 @@ class Link {
   ParameterCheck parameters_;
   VehicleState vehicle_;
   std::vector<AttitudeSample> attitudes_;
+  SenderClock attitude_clock_;
   std::deque<double> rc_times_s_;
   std::deque<double> heartbeat_times_s_;
   std::vector<std::string> notes_;

@@ -319,7 +319,7 @@ class _Watch:
             time.sleep(max(0.0, due - time.monotonic()))
             if self._process.poll() is not None:
                 raise RuntimeError(f"the flight program has ended; it said:\n{self._said.read_text()}")
-            self._vehicle.send_motion((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (_FORWARD_M_S, 0.0, 0.0))
+            self._vehicle.send_motion(time.monotonic(), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (_FORWARD_M_S, 0.0, 0.0))
             self._camera.put(self.sent, self._pictures[self.sent % len(self._pictures)])
             self.sent += 1
             yield time.monotonic() - began

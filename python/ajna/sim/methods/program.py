@@ -33,12 +33,14 @@ TRIM_US = 1500.0
 LOITER_M_S = 6.0  # what a full stick asks for
 LOITER_RAD_S = 2.0
 HOLD_US = 3.0  # sticks nearer to the middle than this hold the position
+# From the middle of the exposure until a frame is read out and has been sent: a camera on USB takes no less.
+CAMERA_LATENCY_S = 0.012
 # Of the frames of a trial may be late: then the program's clock and the world's have come apart.
 LATE_SHARE = 0.2
 
 CONFIG = """
 model: {{path: "{model}", threads: 1, width_px: {width}, height_px: {height}}}
-source: {{kind: spool, path: "{frames}"}}
+source: {{kind: spool, path: "{frames}", latency_s: {latency}}}
 mavlink: {{endpoint: "udpout:127.0.0.1:{port}"}}
 output:
   rc:
@@ -127,6 +129,7 @@ class FlightProgram:
                 width=camera.width,
                 height=camera.height,
                 frames=frames,
+                latency=CAMERA_LATENCY_S,
                 port=self._vehicle.port,
                 per_m_s=500 / LOITER_M_S,
                 per_rad_s=500 / LOITER_RAD_S,
@@ -199,8 +202,10 @@ class FlightProgram:
             time.sleep(self._frame_s / 2)
 
     def _deliver(self, observation: Observation) -> None:
-        """A frame into the folder, and before it what the vehicle's sensors say of that time."""
+        """What the vehicle's sensors say of a frame's time, and then the frame, as late as a camera sends it."""
+        self._clock_s = time.monotonic() * self._scale
         self._send_motion(observation)
+        time.sleep(CAMERA_LATENCY_S / self._scale)
         self._camera.put(observation.frame.index, observation.rgb)
 
     def _send_motion(self, observation: Observation) -> None:
@@ -219,6 +224,7 @@ class FlightProgram:
         self._before = (time_s, body)
         velocity = north @ observation.velocity_m_s
         self._vehicle.send_motion(
+            self._clock_s,
             (roll, pitch, float(np.arctan2(body[1, 0], body[0, 0]))),
             (float(rates[0]), float(rates[1]), float(rates[2])),
             (float(velocity[0]), float(velocity[1]), float(velocity[2])),
