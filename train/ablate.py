@@ -13,24 +13,43 @@ from __future__ import annotations
 import argparse
 import json
 import statistics
-import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-#: name -> (label, options of the network)
-VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
+from comparison import FIGURES, SCORED_AT, MarkedPage, is_complete, run_to_end, score_model, write
+
+#: name -> (label, options of train/train.py): variants of the network, all by the recipe of the config
+NETWORKS: dict[str, tuple[str, dict[str, Any]]] = {
     "paper": ("the paper's network", {}),
-    "skip": ("skip connections", {"skip_connections": True}),
-    "heads": ("heads at three scales", {"scale_heads": True}),
-    "skip_heads": ("skip connections and heads", {"skip_connections": True, "scale_heads": True}),
-    "correlation": ("correlation volume at 1/8, radius 4", {"correlation_radius": 4}),
+    "skip": ("skip connections", {"model.net.skip_connections": True}),
+    "heads": ("heads at three scales", {"model.net.scale_heads": True}),
+    "skip_heads": (
+        "skip connections and heads",
+        {"model.net.skip_connections": True, "model.net.scale_heads": True},
+    ),
+    "correlation": ("correlation volume at 1/8, radius 4", {"model.net.correlation_radius": 4}),
+    "narrow": ("half as wide", {"model.net.width": 16}),  # whether capacity is what is short
 }
-FIGURES = {"epe": ("EPE px", 2), "ause": ("AUSE", 3), "rho": ("Spearman", 2), "occlusion_auc": ("occlusion AUC", 2)}
-BEGIN, END = "<!-- train/ablate.py: begin; written by the command -->", "<!-- train/ablate.py: end -->"
-_SCORED_AT = (320, 240)
+_MIX = {"general": 1, "dodge": 1, "navigate": 1, "gap": 1, "pile": 1, "photometric": 1}
+#: likewise: the paper's network, one part of the recipe changed
+RECIPES: dict[str, tuple[str, dict[str, Any]]] = {
+    "no_warmup": (
+        "the paper's loss from the first step",
+        {"model.loss.l1_steps": 0, "model.loss.blend_steps": 0, "model.loss.raw_gradient": 1.0},
+    ),
+    "no_guidance": (
+        "without guidance",
+        {"model.guidance.motion_energy": False, "model.guidance.heads_weight": 0.0},
+    ),
+    "mix": ("all scene presets, mixed", {"data.scene": {"mix": _MIX}}),
+    "half_rate": ("half the learning rate", {"model.optim.lr": 2e-4}),
+    "no_average": ("without averaged weights", {"model.optim.ema_decay": 0.0}),
+}
+VARIANTS = {**NETWORKS, **RECIPES}
+GROUPS = {"networks": list(NETWORKS), "recipes": list(RECIPES)}
 
 
 @dataclass(frozen=True)
@@ -51,7 +70,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Train, score, print; returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--config", type=Path, default=Path(__file__).parent / "configs" / "ablation.yaml")
-    parser.add_argument("--variants", default=",".join(VARIANTS), help="comma-separated: " + ", ".join(VARIANTS))
+    known = "; ".join(f"{group} ({', '.join(names)})" for group, names in GROUPS.items())
+    parser.add_argument(
+        "--variants", default=",".join(GROUPS), help=f"comma-separated names, or groups of them: {known}"
+    )
     parser.add_argument("--seeds", type=int, default=1, help="runs of each variant")
     parser.add_argument(
         "--runs", type=Path, default=Path("runs/ablation"), help="folder of the runs and of ablation.json"
@@ -66,8 +88,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise ValueError(f"--seeds {args.seeds} --scenes {args.scenes}: give at least 1 seed and 2 scenes")
         if args.only_score and more:
             raise ValueError(f"--only-score trains nothing: leave out {' '.join(more)}")
-        if args.markdown is not None:
-            split_at_marks(args.markdown)
+        page = MarkedPage(args.markdown, "ablate.py") if args.markdown is not None else None
+        if page is not None:
+            page.around()
         runs = train(args, names, more)
         rows = [row for name in names if (row := score(name, runs[name], args.scenes))]
         if not rows:
@@ -77,9 +100,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
     text = table(rows, args.scenes)
     write(args.runs / "ablation.json", json.dumps([asdict(row) for row in rows], indent=2) + "\n")
-    if args.markdown is not None:
-        before, after = split_at_marks(args.markdown)
-        write(args.markdown, f"{before}{BEGIN}\n{text}{END}{after}")
+    if page is not None:
+        page.put(text)
     print(text, end="")
     return 0
 
@@ -90,13 +112,19 @@ def chosen(text: str) -> list[str]:
     Raises:
         ValueError: an unknown one, or none.
     """
-    names = [name for name in text.split(",") if name]
+    parts = [part for part in text.split(",") if part]
+    names = list(dict.fromkeys(name for part in parts for name in GROUPS.get(part, [part])))
     for name in names:
         if name not in VARIANTS:
-            raise ValueError(f"unknown variant '{name}': known are {', '.join(VARIANTS)}")
+            raise ValueError(f"unknown variant '{name}': known are {', '.join([*GROUPS, *VARIANTS])}")
     if not names:
-        raise ValueError(f"no variant given: known are {', '.join(VARIANTS)}")
+        raise ValueError(f"no variant given: known are {', '.join([*GROUPS, *VARIANTS])}")
     return names
+
+
+def options_of(name: str) -> list[str]:
+    """Options of train/train.py that make a variant."""
+    return [f"--{key}={json.dumps(value)}" for key, value in VARIANTS[name][1].items()]
 
 
 def train(args: argparse.Namespace, names: Sequence[str], more: Sequence[str]) -> dict[str, list[Path]]:
@@ -105,57 +133,35 @@ def train(args: argparse.Namespace, names: Sequence[str], more: Sequence[str]) -
     Raises:
         ValueError: a run failed.
     """
-    script = Path(__file__).with_name("train.py")
     complete: dict[str, list[Path]] = {name: [] for name in names}
     for seed in range(1, args.seeds + 1):  # all variants once before the next seed: a table early
         for name in names:
-            folder = args.runs / f"{name}_seed{seed}"
-            done = folder / "complete"
-            if not done.is_file() and not args.only_score:
-                options = [f"--model.net.{key}={json.dumps(value)}" for key, value in VARIANTS[name][1].items()]
+            run = f"{name}_seed{seed}"
+            if not args.only_score:
                 seeds = [f"--seed_everything={seed}", f"--data.seed={seed}"]
-                command = [sys.executable, str(script), "fit", "--config", str(args.config), "--resume=true"]
-                command += [f"--runs={args.runs}", f"--name={folder.name}", *options, *seeds, *more]
-                print(f"ablate.py: {folder.name}", file=sys.stderr)
-                if subprocess.run(command, check=False).returncode != 0:
-                    raise ValueError(f"the run '{folder}' failed: what it said stands above; call again to go on")
-                done.touch()
-            if done.is_file():
-                complete[name].append(folder)
+                run_to_end(args.config, args.runs, run, [*options_of(name), *seeds, *more])
+            if is_complete(args.runs / run):
+                complete[name].append(args.runs / run)
     return complete
 
 
 def score(name: str, folders: Sequence[Path], scenes: int) -> Row | None:
     """Held-out scores, cost and latency of a variant's runs; None without runs."""
-    import ajna
-    from ajna.data.synthetic import SyntheticScenes
-    from ajna.evaluation import evaluate
-    from ajna.nn import count_macs, count_parameters, load_checkpoint
-
-    width, height = _SCORED_AT
-    scores, times, minutes, samples = [], [], [], set()
-    for folder in folders:
-        path = folder / "model.safetensors"
-        net, metadata = load_checkpoint(path)
-        report = evaluate(SyntheticScenes(scenes, width, height, seed=1), {name: ajna.load(path)}, size=None, repeats=1)
-        result = report.methods[name]
-        scores.append({figure: getattr(result.mean, figure) for figure in FIGURES})
-        times += result.run_times_ms
-        samples.add(int(metadata["provenance"]["samples"]))
-        minutes.append(float(metadata["provenance"]["training_seconds"]) / 60)
     if not folders:
         return None
+    runs = [score_model(folder / "model.safetensors", scenes) for folder in folders]
+    samples = {run.samples for run in runs}
     if len(samples) > 1:
         raise ValueError(f"runs of '{name}' saw {sorted(samples)} samples: train all of them to the same step")
     return Row(
         variant=name,
         label=VARIANTS[name][0],
-        parameters=count_parameters(net),
-        flops=2 * count_macs(net.config, height, width),
-        latency_ms=statistics.median(times),
+        parameters=runs[0].parameters,
+        flops=runs[0].flops,
+        latency_ms=statistics.median(time for run in runs for time in run.times_ms),
         samples=samples.pop(),
-        minutes=statistics.mean(minutes),
-        scores=tuple(scores),
+        minutes=statistics.mean(run.minutes for run in runs),
+        scores=tuple(run.mean for run in runs),
     )
 
 
@@ -170,7 +176,7 @@ def table(rows: Sequence[Row], scenes: int) -> str:
             values = [value for scores in row.scores if (value := scores[figure]) is not None]
             cells.append(spread(values, digits))
         lines.append("| " + " | ".join(cells) + " |")
-    width, height = _SCORED_AT
+    width, height = SCORED_AT
     seeds = max(len(row.scores) for row in rows)
     lines += [
         "",
@@ -187,28 +193,6 @@ def spread(values: Sequence[float], digits: int) -> str:
         return "–"
     text = f"{statistics.mean(values):.{digits}f}"
     return text if len(values) == 1 else f"{text} [{min(values):.{digits}f}, {max(values):.{digits}f}]"
-
-
-def split_at_marks(path: Path) -> tuple[str, str]:
-    """What stands before and after the marks.
-
-    Raises:
-        ValueError: the file has no marks. FileNotFoundError: there is no such file.
-    """
-    text = path.read_text(encoding="utf-8")
-    before, begin, rest = text.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not begin or not end:
-        raise ValueError(f"'{path}' has no lines '{BEGIN}' and '{END}': add them where the table is to stand")
-    return before, after
-
-
-def write(path: Path, text: str) -> None:
-    """Replace a file at once."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.tmp")
-    temporary.write_text(text, encoding="utf-8")
-    temporary.replace(path)
 
 
 if __name__ == "__main__":

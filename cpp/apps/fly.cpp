@@ -118,7 +118,8 @@ void check_speed(const skills::InferFunction& infer, const FlightConfig& config)
   const double pair_s = flight::inference_s(infer, config.loop.width, config.loop.height);
   const double oldest_s = flight::oldest_command_s(pair_s, 1.0 / config.source.rate_hz);
   const double limit_s = config.loop.safety.command_timeout_s;
-  spdlog::info("a pair takes {:.0f} ms here: commands get up to {:.0f} ms old", pair_s * 1e3, oldest_s * 1e3);
+  spdlog::info("a pair takes {:.0f} ms here: at {:g} frames/s (source.rate_hz), commands get up to {:.0f} ms old",
+               pair_s * 1e3, config.source.rate_hz, oldest_s * 1e3);
   if (oldest_s > kSpeedReserve * limit_s) {
     spdlog::warn(
         "that is too close to safety.command_timeout_s ({:.0f} ms): expect releases; choose a smaller model.width_px "

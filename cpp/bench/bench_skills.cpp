@@ -24,7 +24,7 @@ constexpr double kFov_rad = 1.2;
 constexpr double kFrame_s = 1.0 / 30.0;
 
 /// The wall, seen from a little aside.
-cv::Mat wall(double shift_px) { return moved(texture(), shift_px, -0.5 * shift_px); }
+cv::Mat wall(double shift_px) { return moved(textured(1), shift_px, -0.5 * shift_px); }
 
 /// A network's answer: noise, an upright rim, and something of `radius` at `x`.
 ajna::FlowField answer(double x, int radius) {

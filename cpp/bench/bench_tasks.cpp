@@ -44,7 +44,7 @@ void navigate_320x240(benchmark::State& state) {
 
 void gap_stack_and_detect_320x240(benchmark::State& state) {
   const cv::Mat map = map_with({180, 120}, 4);  // no gap in it: every step stacks and looks
-  const cv::Mat frame = texture();
+  const cv::Mat frame = textured(1);
   GapPipeline pipeline;
   double t = 0.0;
   pipeline.step(view_of(frame), {}, t);
@@ -55,7 +55,7 @@ void gap_stack_and_detect_320x240(benchmark::State& state) {
 
 void gap_track_320x240(benchmark::State& state) {
   const cv::Mat map = map_with({180, 120}, 45);
-  const cv::Mat frame = texture();
+  const cv::Mat frame = textured(1);
   const cv::Mat other = moved(frame, 2, -1);
   GapPipeline pipeline;
   double t = 0.0;
@@ -77,7 +77,7 @@ void gap_track_320x240(benchmark::State& state) {
 
 void segment_320x240(benchmark::State& state, SegmentMethod method) {
   const cv::Mat map = map_with({180, 120}, 45);
-  cv::Mat frame = texture();
+  cv::Mat frame = textured(1);
   cv::circle(frame, {180, 120}, 45, {200, 60, 40}, cv::FILLED);
   SegmentOptions options;
   options.method = method;

@@ -7,13 +7,15 @@
 #include <opencv2/core/utility.hpp>
 #include <opencv2/imgproc.hpp>
 
-#include "ajna/base/image_view.hpp"
+#include "textured_frames.hpp"
 
 /// What the benchmarks of pipelines and of whole skills are fed with.
 namespace ajna::bench {
 
-constexpr int kWidth = 320;
-constexpr int kHeight = 240;
+using testing::kHeight;
+using testing::kWidth;
+using testing::textured;
+using testing::view_of;
 
 /// Noise about 0.3 with rims of things in it, as smooth as a network's map.
 inline cv::Mat map_with(cv::Point center, int radius) {
@@ -32,20 +34,6 @@ inline cv::Mat moved(const cv::Mat& image, double right_px, double down_px) {
   cv::Mat result;
   cv::warpAffine(image, result, warp, image.size(), cv::INTER_LINEAR, cv::BORDER_REFLECT);
   return result;
-}
-
-/// RGB texture, as a wall has it.
-inline cv::Mat texture() {
-  cv::Mat image(kHeight, kWidth, CV_8UC3);
-  cv::RNG random(1);
-  random.fill(image, cv::RNG::UNIFORM, 0, 256);
-  cv::GaussianBlur(image, image, {0, 0}, 2.0);
-  cv::normalize(image, image, 0, 255, cv::NORM_MINMAX);
-  return image;
-}
-
-inline ImageView view_of(const cv::Mat& image) {
-  return {image.data, image.cols, image.rows, 3, static_cast<std::ptrdiff_t>(image.step[0])};
 }
 
 /// What other figures can be compared with on another machine: one pass over a map.

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["SpoolFolder", "find_program", "is_ready"]
+__all__ = ["SpoolFolder", "find_program", "is_ready", "memory_folder"]
 
 _KEPT = 4  # files: the program reads one while others are being written
 
@@ -33,6 +33,12 @@ def find_program(path: str | Path | None = None) -> Path:
 def is_ready(said: str) -> bool:
     """Whether nothing but the pilot's switch is missing, by what the program has written so far."""
     return said.rstrip().endswith("the pilot's switch is off")
+
+
+def memory_folder() -> Path | None:
+    """A folder in memory, if there is one: the program is to wait for frames, not for a disk."""
+    folder = Path("/dev/shm")
+    return folder if folder.is_dir() else None
 
 
 class SpoolFolder:

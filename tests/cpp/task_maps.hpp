@@ -9,14 +9,16 @@
 #include <utility>
 #include <vector>
 
-#include "ajna/base/image_view.hpp"
+#include "textured_frames.hpp"
 
 // Synthetic maps of uncertainty and frames for the tests of `tasks`.
 
 namespace ajna::tasks {
 
-constexpr int kWidth = 320;
-constexpr int kHeight = 240;
+using testing::kHeight;
+using testing::kWidth;
+using testing::textured;
+using testing::view_of;
 
 /// A map at `level` with reproducible noise.
 inline cv::Mat calm_map(double level = 0.3, double noise = 0.02) {
@@ -63,20 +65,6 @@ inline std::vector<std::pair<std::string, cv::Mat>> unusable_maps() {
 
 inline double iou(const cv::Mat& a, const cv::Mat& b) {
   return cv::countNonZero(a & b) / std::max(1.0, static_cast<double>(cv::countNonZero(a | b)));
-}
-
-/// A frame that owns its pixels: RGB noise texture, and views of it.
-inline cv::Mat textured(int seed) {
-  cv::Mat image(kHeight, kWidth, CV_8UC3);
-  cv::RNG random(static_cast<std::uint64_t>(seed));
-  random.fill(image, cv::RNG::UNIFORM, 0, 256);
-  cv::GaussianBlur(image, image, {0, 0}, 2.0);
-  cv::normalize(image, image, 0, 255, cv::NORM_MINMAX);
-  return image;
-}
-
-inline ImageView view_of(const cv::Mat& image) {
-  return {image.data, image.cols, image.rows, 3, static_cast<std::ptrdiff_t>(image.step[0])};
 }
 
 }  // namespace ajna::tasks

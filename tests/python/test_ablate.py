@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import json
 import sys
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+import yaml
 
 pytest.importorskip("lightning")
 pytest.importorskip("jsonargparse")
@@ -37,12 +38,12 @@ data:
 
 @pytest.fixture
 def ablate(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    spec = importlib.util.spec_from_file_location("ablate", SCRIPT)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, "ablate", module)  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    monkeypatch.setattr(module, "_SCORED_AT", (64, 48))
+    monkeypatch.syspath_prepend(SCRIPT.parent)  # as Python does for a script
+    for name in ("comparison", "ablate"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    module = importlib.import_module("ablate")
+    for part in (module, sys.modules["comparison"]):
+        monkeypatch.setattr(part, "SCORED_AT", (64, 48))
     return module
 
 
@@ -51,8 +52,9 @@ def test_trains_scores_and_writes_the_table(
     ablate: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     config, page, runs = tmp_path / "tiny.yaml", tmp_path / "page.md", tmp_path / "runs"
+    marks = ablate.MarkedPage(page, "ablate.py")
     config.write_text(CONFIG)
-    page.write_text(f"before\n{ablate.BEGIN}\nold\n{ablate.END}\nafter\n")
+    page.write_text(f"before\n{marks.begin}\nold\n{marks.end}\nafter\n")
     options = ["--config", config, "--runs", runs, "--scenes", "2", "--variants", "paper,heads", "--markdown", page]
     assert ablate.main(list(map(str, options))) == 0, capsys.readouterr().err
     text = page.read_text()
@@ -76,6 +78,7 @@ def test_trains_scores_and_writes_the_table(
     [
         (["--variants", "paper,skips"], "unknown variant 'skips'"),
         (["--variants", ","], "no variant given"),
+        (["--variants", "network"], "unknown variant 'network'"),
         (["--seeds", "0"], "--seeds 0"),
         (["--only-score", "--trainer.max_steps=3"], "--trainer.max_steps=3"),
         (["--only-score"], "no complete run"),
@@ -91,7 +94,38 @@ def test_refusals_are_one_sentence(
 
 
 def test_seeds_are_averaged_with_their_range(ablate: ModuleType) -> None:
-    scores = ({"epe": 1.0, "ause": 0.2, "rho": None, "occlusion_auc": 0.8}, dict.fromkeys(ablate.FIGURES, 0.4))
+    scores = (
+        {"epe": 1.0, "ause": 0.2, "rho": None, "occlusion_auc": 0.8, "boundary_ratio": 3.0},
+        dict.fromkeys(ablate.FIGURES, 0.4),
+    )
     row = ablate.Row("paper", "label", 2_700_000, 6_300_000_000, 53.2, 1000, 2.5, scores)
-    text = ablate.table([row], 8)
-    assert "| label | 2.70 | 6.30 | 53 | 1,000 | 2 | 0.70 [0.40, 1.00] | 0.300 [0.200, 0.400] | 0.40 | 0.60" in text
+    line = ablate.table([row], 8).splitlines()[2]
+    assert line.startswith("| label | 2.70 | 6.30 | 53 | 1,000 | 2 | 0.70 [0.40, 1.00] | 0.300 [0.200, 0.400] | 0.40 |")
+    assert line.endswith("| 0.60 [0.40, 0.80] | 1.7 [0.4, 3.0] |")
+
+
+def test_groups_stand_for_their_variants(ablate: ModuleType) -> None:
+    assert ablate.chosen("heads,networks") == ["heads", *(name for name in ablate.NETWORKS if name != "heads")]
+    assert ablate.chosen("networks,recipes") == list(ablate.VARIANTS)
+
+
+@pytest.mark.parametrize(
+    "name", ["paper", "skip_heads", "correlation", "no_warmup", "no_guidance", "mix", "no_average"]
+)
+def test_training_takes_the_options_of_a_variant(
+    ablate: ModuleType, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A misspelt one would be noticed hours after the command was given."""
+    from ajna.training.cli import main
+
+    config = tmp_path / "tiny.yaml"
+    config.write_text(CONFIG)
+    with pytest.raises(SystemExit) as end:
+        main(["fit", f"--config={config}", *ablate.options_of(name), "--print_config"])
+    said = capsys.readouterr()
+    assert not end.value.code, said.err
+    for key, value in ablate.VARIANTS[name][1].items():
+        part = yaml.safe_load(said.out)
+        for step in key.split("."):
+            part = part.get("init_args", part)[step]
+        assert part == value, key

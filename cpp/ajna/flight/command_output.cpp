@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "ajna/base/error.hpp"
+#include "ajna/base/range.hpp"
 
 namespace ajna::flight {
 namespace {
@@ -207,17 +208,13 @@ void validate(const RcOutputOptions& options) {
 }
 
 void validate(const AttitudeOutputOptions& options) {
-  const auto between = [](double value, double low, double high, const char* name) {
-    require(value >= low && value <= high, std::string("attitude.") + name + " = " + std::to_string(value) + ": give " +
-                                               std::to_string(low) + " to " + std::to_string(high));
-  };
-  between(options.max_tilt_rad, 0.01, 0.8, "max_tilt_rad");
-  between(options.tilt_rate_rad_s, 0.1, 20.0, "tilt_rate_rad_s");
-  between(options.velocity_gain_per_s, 0.01, 10.0, "velocity_gain_per_s");
-  between(options.climb_at_full_m_s, 0.1, 20.0, "climb_at_full_m_s");
-  between(options.max_climb_m_s, 0.0, 10.0, "max_climb_m_s");
-  between(options.climb_rate_m_s2, 0.1, 50.0, "climb_rate_m_s2");
-  between(options.max_yaw_rate_rad_s, 0.0, 6.0, "max_yaw_rate_rad_s");
+  require_between("attitude.max_tilt_rad", options.max_tilt_rad, 0.01, 0.8);
+  require_between("attitude.tilt_rate_rad_s", options.tilt_rate_rad_s, 0.1, 20.0);
+  require_between("attitude.velocity_gain_per_s", options.velocity_gain_per_s, 0.01, 10.0);
+  require_between("attitude.climb_at_full_m_s", options.climb_at_full_m_s, 0.1, 20.0);
+  require_between("attitude.max_climb_m_s", options.max_climb_m_s, 0.0, 10.0);
+  require_between("attitude.climb_rate_m_s2", options.climb_rate_m_s2, 0.1, 50.0);
+  require_between("attitude.max_yaw_rate_rad_s", options.max_yaw_rate_rad_s, 0.0, 6.0);
 }
 
 std::unique_ptr<CommandOutput> make_rc_output(const RcOutputOptions& options) {

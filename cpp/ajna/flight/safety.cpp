@@ -4,7 +4,7 @@
 #include <cmath>
 #include <string>
 
-#include "ajna/base/error.hpp"
+#include "ajna/base/range.hpp"
 
 namespace ajna::flight {
 namespace {
@@ -15,12 +15,6 @@ constexpr double kSkew_s = 0.02;
 /// Whether something that happened at `then_s` is at most `timeout_s` old.
 bool fresh(const std::optional<double>& then_s, double now_s, double timeout_s) {
   return then_s && std::isfinite(*then_s) && *then_s <= now_s + kSkew_s && now_s - *then_s <= timeout_s;
-}
-
-void require(bool valid, const std::string& message) {
-  if (!valid) {
-    throw_invalid("safety: " + message);
-  }
 }
 
 }  // namespace
@@ -142,20 +136,16 @@ const char* to_string(SafetyState state) noexcept {
 }
 
 void validate(const SafetyOptions& options) {
-  const auto between = [](double value, double low, double high, const char* name) {
-    require(value >= low && value <= high, std::string(name) + " = " + std::to_string(value) + ": give " +
-                                               std::to_string(low) + " to " + std::to_string(high));
-  };
-  between(options.heartbeat_timeout_s, 0.2, 10.0, "heartbeat_timeout_s");
-  between(options.rc_timeout_s, 0.05, 1.0, "rc_timeout_s");
-  between(options.camera_timeout_s, 0.03, 1.0, "camera_timeout_s");
-  between(options.command_timeout_s, 0.03, 1.0, "command_timeout_s");
-  between(options.max_tick_s, 0.04, 0.5, "max_tick_s");
-  between(options.switch_hold_s, 0.0, 2.0, "switch_hold_s");
-  between(options.release_duration_s, 0.1, 5.0, "release_duration_s");
-  between(options.release_repeats, 3, 100, "release_repeats");
-  between(options.switch_on_min_us, 1600, 2000, "switch_on_min_us");
-  between(options.switch_off_max_us, 900, 1400, "switch_off_max_us");
+  require_between("safety.heartbeat_timeout_s", options.heartbeat_timeout_s, 0.2, 10.0);
+  require_between("safety.rc_timeout_s", options.rc_timeout_s, 0.05, 1.0);
+  require_between("safety.camera_timeout_s", options.camera_timeout_s, 0.03, 1.0);
+  require_between("safety.command_timeout_s", options.command_timeout_s, 0.03, 1.0);
+  require_between("safety.max_tick_s", options.max_tick_s, 0.04, 0.5);
+  require_between("safety.switch_hold_s", options.switch_hold_s, 0.0, 2.0);
+  require_between("safety.release_duration_s", options.release_duration_s, 0.1, 5.0);
+  require_between("safety.release_repeats", options.release_repeats, 3, 100);
+  require_between("safety.switch_on_min_us", options.switch_on_min_us, 1600, 2000);
+  require_between("safety.switch_off_max_us", options.switch_off_max_us, 900, 1400);
 }
 
 SafetyMachine::SafetyMachine(const SafetyOptions& options) : options_(options) { validate(options); }

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from ajna.benchmarks.machine import describe_machine, describe_versions
 from ajna.flight_log import read_log
-from ajna.flight_program import SpoolFolder, is_ready
+from ajna.flight_program import SpoolFolder, is_ready, memory_folder
 
 TASKS = ("dodge", "navigate", "gap")
 SETTLE_SHARE, SETTLE_MAX_S = 0.2, 60.0  # of a turn, before its memory counts
@@ -58,7 +58,7 @@ _HEADINGS = (
 _LEGEND = """\
 - Latency: from the arrival of a frame (before it is decoded) to the tick of the control loop that has its command; the
   program's own histogram, in bins of 1 ms. Commanding: share of the time, sampled each second, in which the sticks were
-  overridden; where it is low, commands come too late for `safety.command_timeout_s` (0.15 s).
+  overridden; where it is low, commands come too late for `safety.command_timeout_s`.
 - Memory: the program's resident set. Settled: after a fifth of the time, a minute at most; the growth is that of a
   straight line through all samples from there on."""
 
@@ -207,8 +207,7 @@ def _fly(
 ) -> Row:
     from ajna.mavlink_vehicle import MavlinkVehicle
 
-    memory = Path("/dev/shm")  # the program waits for frames, not for a disk
-    with tempfile.TemporaryDirectory(prefix="ajna-flight-", dir=memory if memory.is_dir() else None) as name:
+    with tempfile.TemporaryDirectory(prefix="ajna-flight-", dir=memory_folder()) as name:
         folder = Path(name)
         (folder / "frames").mkdir()
         vehicle = MavlinkVehicle()

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -93,7 +92,7 @@ def uncertainty(
     import ajna
     from ajna.baselines import SamplingOptions
     from ajna.benchmarks.uncertainty import compare
-    from ajna.cli.outputs import check_folder, staged_folder
+    from ajna.cli.outputs import check_folder, put_report, staged_folder
 
     scored_size = parse_size(size)
     assert scored_size is not None
@@ -131,11 +130,7 @@ def uncertainty(
             exclude=split(exclude),
             on_case=on_case,
         )
-        text, record = table.to_markdown(), json.dumps(table.to_json(), indent=2)
-        if stage is not None:
-            (stage / "uncertainty.md").write_text(text)
-            (stage / "uncertainty.json").write_text(record)
-    typer.echo(record if as_json else text, nl=as_json)
+        put_report(table, "uncertainty", stage, as_json)
 
 
 def split(values: Iterable[str] | None) -> list[str]:

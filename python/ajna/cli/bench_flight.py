@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import tempfile
 from contextlib import nullcontext
@@ -56,7 +55,7 @@ def flight(
 
     from ajna.benchmarks.flight import measure
     from ajna.cli.bench import split
-    from ajna.cli.outputs import check_folder, staged_folder
+    from ajna.cli.outputs import check_folder, put_report, staged_folder
     from ajna.cli.speed import exported
     from ajna.flight_program import find_program
     from ajna.model import checkpoint_path
@@ -94,8 +93,4 @@ def flight(
             seconds=seconds,
             on_turn=lambda label, count: status.update(f"{label}, {count} threads"),
         )
-        text, record = result.to_markdown(), json.dumps(result.to_json(), indent=2)
-        if stage is not None:
-            (stage / "flight.md").write_text(text)
-            (stage / "flight.json").write_text(record)
-    typer.echo(record if as_json else text, nl=as_json)
+        put_report(result, "flight", stage, as_json)

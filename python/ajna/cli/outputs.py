@@ -3,12 +3,33 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Protocol
+
+import typer
+
+
+class Report(Protocol):
+    """A result that can be read by people and by programs."""
+
+    def to_markdown(self) -> str: ...
+
+    def to_json(self) -> object: ...
+
+
+def put_report(result: Report, name: str, stage: Path | None, as_json: bool) -> None:
+    """``name``.md and ``name``.json into ``stage`` where there is one; the one or the other to standard output."""
+    text, record = result.to_markdown(), json.dumps(result.to_json(), indent=2)
+    if stage is not None:
+        (stage / f"{name}.md").write_text(text)
+        (stage / f"{name}.json").write_text(record)
+    typer.echo(record if as_json else text, nl=as_json)
 
 
 def check_folder(folder: Path) -> None:

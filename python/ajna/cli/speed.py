@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
@@ -46,7 +45,7 @@ def speed(
     from rich.console import Console
 
     from ajna.benchmarks.speed import measure
-    from ajna.cli.outputs import check_folder, staged_folder
+    from ajna.cli.outputs import check_folder, put_report, staged_folder
     from ajna.model import checkpoint_path
 
     parsed = parse_size(size)
@@ -74,11 +73,7 @@ def speed(
             seconds=seconds,
             on_turn=lambda name, turn: status.update(f"{name}, turn {turn + 1} of {rounds}"),
         )
-        text, record = result.to_markdown(), json.dumps(result.to_json(), indent=2)
-        if stage is not None:
-            (stage / "speed.md").write_text(text)
-            (stage / "speed.json").write_text(record)
-    typer.echo(record if as_json else text, nl=as_json)
+        put_report(result, "speed", stage, as_json)
 
 
 def _chosen(given: Sequence[str] | None) -> list[str]:

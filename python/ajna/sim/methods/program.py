@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ajna.flight_program import SpoolFolder, find_program, is_ready
+from ajna.flight_program import SpoolFolder, find_program, is_ready, memory_folder
 from ajna.model import checkpoint_path
 from ajna.sim.methods.skills import COAST_S, Autopilot
 from ajna.sim.observation import Observation, Output, TaskSetup
@@ -111,9 +111,7 @@ class FlightProgram:
             raise ValueError("method 'flight' needs pymavlink: pip install pymavlink") from error
         self.close()
         self._setup = setup
-        # In memory: the program waits for frames, not for a disk.
-        memory = Path("/dev/shm")
-        self._folder = Path(tempfile.mkdtemp(prefix="ajna-flight-", dir=memory if memory.is_dir() else None))
+        self._folder = Path(tempfile.mkdtemp(prefix="ajna-flight-", dir=memory_folder()))
         frames = self._folder / "frames"
         frames.mkdir()
         self._camera = SpoolFolder(frames)

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: MIT
+"""What scripts that compare training runs share: bringing a run to its end, scoring its model, writing a table."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+#: figure of `ajna.evaluation.Scores` -> (heading, digits)
+FIGURES = {
+    "epe": ("EPE px", 2),
+    "ause": ("AUSE", 3),
+    "rho": ("Spearman", 2),
+    "occlusion_auc": ("occlusion AUC", 2),
+    "boundary_ratio": ("times at boundaries", 1),
+}
+SCORED_AT = (320, 240)
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A model and its scores on held-out scenes: means over the scenes, and the EPE of each."""
+
+    parameters: int
+    flops: int  # at the size that is scored, 2 per multiply-add
+    times_ms: tuple[float, ...]
+    samples: int
+    minutes: float
+    mean: dict[str, float | None]
+    epes: tuple[float, ...]
+
+
+def run_to_end(config: Path, runs: Path, name: str, options: Sequence[str]) -> Path:
+    """A run of train/train.py, begun or gone on with, in ``runs``/``name``; the folder. Nothing if it is complete.
+
+    Raises:
+        ValueError: it failed.
+    """
+    folder = runs / name
+    if not is_complete(folder):
+        command = [sys.executable, str(Path(__file__).with_name("train.py")), "fit", f"--config={config}"]
+        command += ["--resume=true", f"--runs={runs}", f"--name={name}", *options]
+        print(f"{Path(sys.argv[0]).name}: {name}", file=sys.stderr)
+        if subprocess.run(command, check=False).returncode != 0:
+            raise ValueError(f"the run '{folder}' failed: what it said stands above; call again to go on")
+        (folder / "complete").touch()
+    return folder
+
+
+def is_complete(folder: Path) -> bool:
+    """Whether :func:`run_to_end` has seen the end of a run."""
+    return (folder / "complete").is_file()
+
+
+def score_model(path: Path, scenes: int) -> Scored:
+    """Cost of a model file, and its scores on scenes that no training or validation sees (general preset).
+
+    Raises:
+        FileNotFoundError, ValueError: as `ajna.nn.load_checkpoint`.
+    """
+    import ajna
+    from ajna.data.synthetic import SyntheticScenes
+    from ajna.evaluation import evaluate
+    from ajna.nn import count_macs, count_parameters, load_checkpoint
+
+    width, height = SCORED_AT
+    net, metadata = load_checkpoint(path)
+    held_out = SyntheticScenes(scenes, width, height, seed=1)
+    result = evaluate(held_out, {"model": ajna.load(path)}, size=None, repeats=1).methods["model"]
+    return Scored(
+        parameters=count_parameters(net),
+        flops=2 * count_macs(net.config, height, width),
+        times_ms=tuple(result.run_times_ms),
+        samples=int(metadata["provenance"]["samples"]),
+        minutes=float(metadata["provenance"]["training_seconds"]) / 60,
+        mean={figure: getattr(result.mean, figure) for figure in FIGURES},
+        epes=tuple(case.epe for case in result.cases.values() if case.epe is not None),
+    )
+
+
+@dataclass(frozen=True)
+class MarkedPage:
+    """A Markdown file with a part that a script writes, between two lines of its own."""
+
+    path: Path
+    script: str
+
+    @property
+    def begin(self) -> str:
+        return f"<!-- train/{self.script}: begin; written by the command -->"
+
+    @property
+    def end(self) -> str:
+        return f"<!-- train/{self.script}: end -->"
+
+    def around(self) -> tuple[str, str]:
+        """What stands before and after the marks.
+
+        Raises:
+            ValueError: the file has no marks. FileNotFoundError: there is no such file.
+        """
+        before, begin, rest = self.path.read_text(encoding="utf-8").partition(self.begin)
+        _, end, after = rest.partition(self.end)
+        if not begin or not end:
+            raise ValueError(
+                f"'{self.path}' has no lines '{self.begin}' and '{self.end}': add them where the table is to stand"
+            )
+        return before, after
+
+    def put(self, text: str) -> None:
+        """Replace what stands between the marks."""
+        before, after = self.around()
+        write(self.path, f"{before}{self.begin}\n{text}{self.end}{after}")
+
+
+def write(path: Path, text: str) -> None:
+    """Replace a file at once."""
+    from ajna.training.run_files import atomic_path
+
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
