@@ -199,11 +199,14 @@ def test_shipped_models_by_name(tiny_checkpoint: Path, tmp_path: Path, monkeypat
     path.write_bytes(content)
     (tmp_path / "README.md").write_text("not a model")
     monkeypatch.setattr(ajna.model, "_WEIGHTS", tmp_path)
-    assert ajna.models() == {"best": path}
-    assert ajna.load().info.path == str(path)
+    assert ajna.models() == {"best": path, "paper": path}
+    assert ajna.load().info.path == ajna.load("paper").info.path == str(path)
     assert ajna.load("best").sha256.startswith(sha)
     with pytest.raises(ValueError, match="unknown model 'bset', did you mean 'best'\\? Known: best"):
         ajna.load("bset")
+    own = tmp_path / f"ajna-paper-{sha}.safetensors"
+    own.write_bytes(content)
+    assert ajna.models() == {"best": path, "paper": own}
     path.write_bytes(content[:-1] + b"?")
     with pytest.raises(ValueError, match="is damaged"):
         ajna.load("best")

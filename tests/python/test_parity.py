@@ -56,7 +56,7 @@ def checkpoints(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
                 tensor.copy_(torch.rand_like(tensor) + 0.5)
     path = tmp_path_factory.mktemp("parity") / "random.safetensors"
     nn.save_checkpoint(path, net, name="random", loss=UncertaintyLoss(), flow_scale=20.0)
-    return {"random": path, **ajna.models()}
+    return {"random": path, **{file.stem: file for file in ajna.models().values()}}
 
 
 @pytest.mark.parametrize("size", [(240, 320), (75, 101)], ids=lambda size: f"{size[1]}x{size[0]}")
