@@ -212,6 +212,8 @@ def test_full_disk_and_clock_jumps_do_not_matter_and_a_crash_releases(
         library = tmp_path / "jumps.so"
         subprocess.run([compiler, "-shared", "-fPIC", "-o", library, tmp_path / "jumps.c", "-ldl"], check=True)
         environment["LD_PRELOAD"] = str(library)
+        # A build with the address sanitizer insists on being the first library otherwise.
+        environment["ASAN_OPTIONS"] = environment.get("ASAN_OPTIONS", "") + ":verify_asan_link_order=0"
     rig = start(env=environment)
     rig.activate()
     log = rig.log / "flight-0001.jsonl"
