@@ -15,6 +15,7 @@ import json
 import statistics
 import sys
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -31,21 +32,14 @@ NETWORKS: dict[str, tuple[str, dict[str, Any]]] = {
         {"model.net.skip_connections": True, "model.net.scale_heads": True},
     ),
     "correlation": ("correlation volume at 1/8, radius 4", {"model.net.correlation_radius": 4}),
-    "narrow": ("half as wide", {"model.net.width": 16}),  # whether capacity is what is short
 }
-_MIX = {"general": 1, "dodge": 1, "navigate": 1, "gap": 1, "pile": 1, "photometric": 1}
+_MIX = {"general": 2, "dodge": 1, "navigate": 2, "gap": 2, "pile": 1, "photometric": 0.5}
 #: likewise: the paper's network, one part of the recipe changed
 RECIPES: dict[str, tuple[str, dict[str, Any]]] = {
-    "no_warmup": (
-        "the paper's loss from the first step",
-        {"model.loss.l1_steps": 0, "model.loss.blend_steps": 0, "model.loss.raw_gradient": 1.0},
-    ),
-    "no_guidance": (
-        "without guidance",
-        {"model.guidance.motion_energy": False, "model.guidance.heads_weight": 0.0},
-    ),
-    "mix": ("all scene presets, mixed", {"data.scene": {"mix": _MIX}}),
-    "half_rate": ("half the learning rate", {"model.optim.lr": 2e-4}),
+    "mix": ("scenes of every task beside the general ones", {"data.scene": {"bank_size": 192, "mix": _MIX}}),
+    "no_l1": ("the paper's loss alone, without L1 beside it", {"model.loss.l1_share": 0.0}),
+    "half_rate": ("half the learning rate", {"model.optim.lr": 7.5e-5}),
+    "double_rate": ("twice the learning rate", {"model.optim.lr": 3e-4}),
     "no_average": ("without averaged weights", {"model.optim.ema_decay": 0.0}),
 }
 VARIANTS = {**NETWORKS, **RECIPES}
@@ -74,6 +68,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--variants", default=",".join(GROUPS), help=f"comma-separated names, or groups of them: {known}"
     )
+    parser.add_argument("--jobs", type=int, default=1, help="runs at once; what each says then goes to RUNS/NAME.log")
     parser.add_argument("--seeds", type=int, default=1, help="runs of each variant")
     parser.add_argument(
         "--runs", type=Path, default=Path("runs/ablation"), help="folder of the runs and of ablation.json"
@@ -84,8 +79,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     args, more = parser.parse_known_args(argv)
     try:
         names = chosen(args.variants)
-        if args.seeds < 1 or args.scenes < 2:
-            raise ValueError(f"--seeds {args.seeds} --scenes {args.scenes}: give at least 1 seed and 2 scenes")
+        if args.seeds < 1 or args.scenes < 2 or args.jobs < 1:
+            given = f"--seeds {args.seeds} --scenes {args.scenes} --jobs {args.jobs}"
+            raise ValueError(f"{given}: give at least 1 seed, 2 scenes and 1 job")
         if args.only_score and more:
             raise ValueError(f"--only-score trains nothing: leave out {' '.join(more)}")
         page = MarkedPage(args.markdown, "ablate.py") if args.markdown is not None else None
@@ -133,16 +129,20 @@ def train(args: argparse.Namespace, names: Sequence[str], more: Sequence[str]) -
     Raises:
         ValueError: a run failed.
     """
-    complete: dict[str, list[Path]] = {name: [] for name in names}
-    for seed in range(1, args.seeds + 1):  # all variants once before the next seed: a table early
-        for name in names:
-            run = f"{name}_seed{seed}"
-            if not args.only_score:
-                seeds = [f"--seed_everything={seed}", f"--data.seed={seed}"]
-                run_to_end(args.config, args.runs, run, [*options_of(name), *seeds, *more])
-            if is_complete(args.runs / run):
-                complete[name].append(args.runs / run)
-    return complete
+    seeds = range(1, args.seeds + 1)
+    if not args.only_score:
+        with ThreadPoolExecutor(args.jobs) as pool:  # each waits for a process of its own
+            runs = []
+            for seed in seeds:  # all variants once before the next seed: a table early
+                for name in names:
+                    options = [*options_of(name), f"--seed_everything={seed}", f"--data.seed={seed}", *more]
+                    run = f"{name}_seed{seed}"
+                    log = args.runs / f"{run}.log" if args.jobs > 1 else None
+                    runs.append(pool.submit(run_to_end, args.config, args.runs, run, options, log))
+            for pending in runs:
+                pending.result()
+    folders = {name: [args.runs / f"{name}_seed{seed}" for seed in seeds] for name in names}
+    return {name: [folder for folder in folders[name] if is_complete(folder)] for name in names}
 
 
 def score(name: str, folders: Sequence[Path], scenes: int) -> Row | None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,8 +34,10 @@ class Scored:
     epes: tuple[float, ...]
 
 
-def run_to_end(config: Path, runs: Path, name: str, options: Sequence[str]) -> Path:
+def run_to_end(config: Path, runs: Path, name: str, options: Sequence[str], log: Path | None = None) -> Path:
     """A run of train/train.py, begun or gone on with, in ``runs``/``name``; the folder. Nothing if it is complete.
+
+    What it says goes to ``log``, or where the script's own output goes.
 
     Raises:
         ValueError: it failed.
@@ -44,8 +47,12 @@ def run_to_end(config: Path, runs: Path, name: str, options: Sequence[str]) -> P
         command = [sys.executable, str(Path(__file__).with_name("train.py")), "fit", f"--config={config}"]
         command += ["--resume=true", f"--runs={runs}", f"--name={name}", *options]
         print(f"{Path(sys.argv[0]).name}: {name}", file=sys.stderr)
-        if subprocess.run(command, check=False).returncode != 0:
-            raise ValueError(f"the run '{folder}' failed: what it said stands above; call again to go on")
+        runs.mkdir(parents=True, exist_ok=True)
+        with open(log, "a", encoding="utf-8") if log is not None else nullcontext() as output:
+            done = subprocess.run(command, check=False, stdout=output, stderr=output)
+        if done.returncode != 0:
+            where = f"'{log}' has" if log is not None else "above stands"
+            raise ValueError(f"the run '{folder}' failed: {where} what it said; call again to go on")
         (folder / "complete").touch()
     return folder
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: MIT
 """Train the same network on more and more samples, fit how its error falls, and say what ten times as many should buy.
 
-python train/scaling.py --config train/configs/ablation.yaml --steps 150,300,600,1200 --markdown docs/results.md
+python train/scaling.py --config train/configs/synthetic.yaml --steps 4000,8000,16500 --markdown docs/results.md
 
 Each budget is a run of its own, the whole schedule (warm-up, curriculum, learning rate) stretched to it: points along
 one run would be compared at learning rates that had not fallen yet. ``--also`` names finished models, which are not
@@ -50,8 +50,8 @@ class PowerLaw:
 def main(argv: Sequence[str] | None = None) -> int:
     """Train, score, fit, print; returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--config", type=Path, default=Path(__file__).parent / "configs" / "ablation.yaml")
-    parser.add_argument("--steps", default="150,300,600,1200", help="comma-separated lengths of the runs")
+    parser.add_argument("--config", type=Path, default=Path(__file__).parent / "configs" / "synthetic.yaml")
+    parser.add_argument("--steps", default="4000,8000,16500", help="comma-separated lengths of the runs")
     parser.add_argument(
         "--runs", type=Path, default=Path("runs/scaling"), help="folder of the runs and of scaling.json"
     )
@@ -92,7 +92,7 @@ def budgets_of(text: str) -> list[int]:
     """
     parts = [part.strip() for part in text.split(",") if part.strip()]
     if not all(part.isdecimal() and int(part) > 0 for part in parts) or len({int(part) for part in parts}) < 3:
-        raise ValueError(f"--steps {text}: give three or more different numbers of steps, as 150,300,600")
+        raise ValueError(f"--steps {text}: give three or more different numbers of steps, as 4000,8000,16500")
     return sorted({int(part) for part in parts})
 
 

@@ -56,6 +56,7 @@ def test_trains_scores_and_writes_the_table(
     config.write_text(CONFIG)
     page.write_text(f"before\n{marks.begin}\nold\n{marks.end}\nafter\n")
     options = ["--config", config, "--runs", runs, "--scenes", "2", "--variants", "paper,heads", "--markdown", page]
+    options += ["--jobs", "2"]
     assert ablate.main(list(map(str, options))) == 0, capsys.readouterr().err
     text = page.read_text()
     assert text.startswith("before\n") and text.endswith("after\n") and "old" not in text
@@ -64,6 +65,8 @@ def test_trains_scores_and_writes_the_table(
     assert all(row["samples"] == 4 and row["scores"][0]["epe"] > 0 for row in rows.values())
     assert rows["heads"]["parameters"] > rows["paper"]["parameters"]
     assert f"| the paper's network | {rows['paper']['parameters'] / 1e6:.2f} |" in text
+
+    assert all((runs / f"{name}_seed1.log").stat().st_size > 0 for name in ("paper", "heads"))
 
     # Complete runs are not trained again; what was never run is left out.
     before = (runs / "paper_seed1" / "model.safetensors").stat().st_mtime_ns
@@ -80,6 +83,7 @@ def test_trains_scores_and_writes_the_table(
         (["--variants", ","], "no variant given"),
         (["--variants", "network"], "unknown variant 'network'"),
         (["--seeds", "0"], "--seeds 0"),
+        (["--jobs", "0"], "--jobs 0"),
         (["--only-score", "--trainer.max_steps=3"], "--trainer.max_steps=3"),
         (["--only-score"], "no complete run"),
         (["--markdown", "nowhere.md"], "nowhere.md"),
@@ -109,9 +113,7 @@ def test_groups_stand_for_their_variants(ablate: ModuleType) -> None:
     assert ablate.chosen("networks,recipes") == list(ablate.VARIANTS)
 
 
-@pytest.mark.parametrize(
-    "name", ["paper", "skip_heads", "correlation", "no_warmup", "no_guidance", "mix", "no_average"]
-)
+@pytest.mark.parametrize("name", ["paper", "skip_heads", "correlation", "mix", "no_l1", "half_rate", "no_average"])
 def test_training_takes_the_options_of_a_variant(
     ablate: ModuleType, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

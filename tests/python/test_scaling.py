@@ -74,7 +74,7 @@ def test_an_error_that_is_no_number_is_refused(scaling: ModuleType) -> None:
 
 
 def test_the_whole_schedule_is_stretched(scaling: ModuleType) -> None:
-    config = yaml.safe_load((TRAIN / "configs" / "ablation.yaml").read_text())
+    config = yaml.safe_load((TRAIN / "configs" / "synthetic.yaml").read_text())
     steps = config["trainer"]["max_steps"]
     half = scaling.stretched(config, steps // 2)
     assert half["trainer"]["max_steps"] == steps // 2

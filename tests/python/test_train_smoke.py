@@ -19,7 +19,8 @@ import torch
 pytest.importorskip("lightning")
 pytest.importorskip("jsonargparse")
 
-from ajna.nn import load_checkpoint
+from ajna.losses import UncertaintyLoss
+from ajna.nn import load_checkpoint, save_checkpoint
 from ajna.training import FlowModule, NetOptions
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -176,6 +177,39 @@ def test_throughput_prints_a_line_per_stage(script: ModuleType, config: Path, ca
     lines = capsys.readouterr().out.splitlines()
     assert len([line for line in lines if "from step" in line]) == 2
     assert all(float(number) > 0 for number in lines[-1].split()[-3:])
+
+
+def test_a_network_grows_from_a_smaller_one(straight: Path) -> None:
+    path = str(straight / "model.safetensors")
+    small = FlowModule(NetOptions(width=4), flow_scale=4.0, init_from=path)
+    frames = torch.randint(0, 256, (2, 1, 3, 64, 64), dtype=torch.uint8)
+    for parts in ({"scale_heads": True}, {"correlation_radius": 2}, {"scale_heads": True, "correlation_radius": 2}):
+        net = NetOptions(width=4, **parts)
+        with pytest.raises(ValueError, match="grow: true"):
+            FlowModule(net, flow_scale=4.0, init_from=path)
+        grown = FlowModule(net, flow_scale=4.0, init_from=path, grow=True)
+        # In training mode: a norm over new layers must not disturb the old ones either.
+        assert torch.allclose(grown.net(grown._input(*frames)), small.net(small._input(*frames)), atol=1e-6)
+        assert torch.allclose(grown(*frames), small(*frames), atol=1e-6)
+        loss = grown.net(grown._input(*frames)).square().mean()
+        loss.backward()
+        added = [
+            parameter for name, parameter in grown.net.named_parameters() if name.startswith(("heads", "matching"))
+        ]
+        assert any(parameter.grad is not None and parameter.grad.abs().max() > 0 for parameter in added)
+    skips = FlowModule(NetOptions(width=4, skip_connections=True), flow_scale=4.0, init_from=path, grow=True)
+    old, new = small.net.state_dict(), skips.net.state_dict()
+    assert all(torch.equal(old[name], new[name]) for name in new if "running" not in name and "tracked" not in name)
+    with pytest.raises(ValueError, match="width=4"):
+        FlowModule(NetOptions(width=8), flow_scale=4.0, init_from=path, grow=True)
+
+
+def test_a_network_does_not_shrink(straight: Path, tmp_path: Path) -> None:
+    net = NetOptions(width=4, skip_connections=True).build()
+    path = str(tmp_path / "skips.safetensors")
+    save_checkpoint(path, net, name="skips", loss=UncertaintyLoss(), flow_scale=4.0)
+    with pytest.raises(ValueError, match="give net options that agree"):
+        FlowModule(NetOptions(width=4), flow_scale=4.0, init_from=path, grow=True)
 
 
 def test_init_from_a_checkpoint_must_agree(straight: Path) -> None:

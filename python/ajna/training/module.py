@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from ajna.metrics import end_point_error
+from ajna.model import checkpoint_path
 from ajna.nn import load_checkpoint, network_input
 from ajna.training.failure import NonFiniteLoss, save_batch
 from ajna.training.guidance import FlowHeads, averaged, start_with_motion_energy
@@ -34,7 +35,11 @@ class FlowModule(pl.LightningModule):
         optim: optimizer, learning rate, clipping, averaging.
         guidance: aids for the start.
         flow_scale: the network predicts flow in pixels divided by this.
-        init_from: a checkpoint (.safetensors) whose weights to begin with; its shape must be that of ``net``.
+        init_from: a checkpoint (.safetensors), or the name of a shipped model, whose weights to begin with; its shape
+            must be that of ``net``.
+        grow: ``net`` may have parts that ``init_from`` lacks (skip connections, heads at three scales, a correlation
+            volume). What new layers add to the old ones begins at zero, so that with new heads or a correlation volume
+            the network first answers as the old one; skip connections have no layers, and change it at once.
         channels_last: keep weights and activations channels-last (faster on CPUs and tensor cores).
     """
 
@@ -47,6 +52,7 @@ class FlowModule(pl.LightningModule):
         flow_scale: float = 1.0,
         init_from: str | None = None,
         channels_last: bool = True,
+        grow: bool = False,
     ) -> None:
         super().__init__()
         if not (math.isfinite(flow_scale) and flow_scale > 0):
@@ -60,7 +66,7 @@ class FlowModule(pl.LightningModule):
         self.memory_format = torch.channels_last if channels_last else torch.contiguous_format
         self.net = (net or NetOptions()).build()
         if init_from is not None:
-            self._start_from(init_from)
+            self._start_from(init_from, grow)
         elif self.guidance.motion_energy:
             start_with_motion_energy(self.net)
         self.heads = FlowHeads(self.net) if self.guidance.heads_weight else None
@@ -79,15 +85,30 @@ class FlowModule(pl.LightningModule):
         self._scores: ValidationScores | None = None
         self._clock: float | None = None
 
-    def _start_from(self, path: str) -> None:
-        loaded, metadata = load_checkpoint(path)
-        if loaded.config != self.net.config:
-            raise ValueError(f"checkpoint '{path}' holds {loaded!r}, not {self.net!r}: give net options that agree")
+    def _start_from(self, path: str, grow: bool) -> None:
+        loaded, metadata = load_checkpoint(checkpoint_path(path))
         if metadata["flow_scale"] != self.flow_scale:
             raise ValueError(
                 f"checkpoint '{path}' has flow_scale {metadata['flow_scale']}, not {self.flow_scale}: give that one"
             )
-        self.net.load_state_dict(loaded.state_dict())
+        theirs, mine = loaded.state_dict(), self.net.state_dict()
+        grown = (
+            grow
+            and loaded.config.skip_connections <= self.net.config.skip_connections
+            and all(name in mine and mine[name].shape == tensor.shape for name, tensor in theirs.items())
+        )
+        if loaded.config != self.net.config and not grown:
+            raise ValueError(
+                f"checkpoint '{path}' holds {loaded!r}, not {self.net!r}: give net options that agree"
+                + (" but for new parts" if grow else ", or 'grow: true' where the net only has more parts")
+            )
+        new = [name for name in mine if name not in theirs]
+        # The heads, and the last layer of the matching part, are what is added to the old layers.
+        last = max((name.split(".")[1] for name in new if name.startswith("matching.")), default="")
+        for name in new:
+            if name.startswith(("heads.", f"matching.{last}.")):
+                theirs[name] = torch.zeros_like(mine[name])
+        self.net.load_state_dict({**mine, **theirs})
 
     # --- one step ------------------------------------------------------------------------------------------------
 

@@ -83,6 +83,8 @@ class StereoSensor:
     noise = 0.05
     open_px = 3
     BASELINE_M: ClassVar[dict[str, float]] = {"navigate": 0.20, "gap": 0.15, "dodge": 0.20, "pile": 0.05}
+    # Slow flights are flights among near things: the wide baseline sees nothing nearer than 0.75 m.
+    SLOW_M_S, SLOW_BASELINE_M = 4.0, 0.10
 
     def __init__(self) -> None:
         import cv2
@@ -96,6 +98,8 @@ class StereoSensor:
 
     def reset(self, setup: TaskSetup) -> None:
         self.baseline_m = self.BASELINE_M[setup.task]
+        if setup.task == "navigate" and setup.speed_m_s < self.SLOW_M_S:
+            self.baseline_m = self.SLOW_BASELINE_M
 
     def __call__(self, observation: Observation) -> Depth:
         import cv2
