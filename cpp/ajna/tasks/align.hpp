@@ -9,10 +9,10 @@
 namespace ajna::tasks {
 
 struct AlignOptions {
-  int max_features = 400;
+  int max_features = 200;
   double quality = 0.01;           ///< of corners, relative to the best
   double spacing_px = 7.0;         ///< between corners
-  int window_px = 15;              ///< of the KLT tracker
+  int window_px = 9;               ///< of the KLT tracker
   int levels = 4;                  ///< of its pyramid
   double max_roundtrip_px = 1.0;   ///< forward-backward check
   double inlier_px = 1.5;          ///< of the homography

@@ -222,6 +222,8 @@ def as_markdown(experiment: str, rows: Sequence[Row]) -> str:
         ]
     else:
         columns.append(("detection %", "detection_rate", 100.0))
+        if task_of(experiment) != "pile":  # looked at once
+            columns.append(("detection on any later frame %", "detection_rate_best", 100.0))
     columns.append(("run time ms", "run_time_ms", 1.0))
     printed = {key for _, key, _ in columns for row in EXPERIMENTS[experiment] if getattr(row, key, None) is not None}
     head = ["method", "trials"]

@@ -25,7 +25,8 @@ What flies and how it is measured stands in [simulation](simulation.md). Columns
 its own scenes and vehicle; columns "ours" are measured in the simulated worlds, with a 95 % bootstrap interval over the
 trials (without width where all trials agree). A dash: not given, or does not apply. Ours are stand-ins in part: OccMask
 and GapFlyt run on OpenCV's DIS flow, MorphEyes on semi-global matching, D435i is a model of the sensor. FLOPs and
-parameters are a network's, at 320x240 (2 FLOPs per multiply-accumulate).
+parameters are a network's, at 320x240 (2 FLOPs per multiply-accumulate). Detection: an IoU of 0.5 or more with the true
+mask, on the frame that was first acted on, and on that or any later one.
 
 ```sh
 ajna bench WORLD --trials 50 --out flights      # for each world; goes on where it stopped
