@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: MIT
-"""Train variants of the network at equal samples, score them on held-out scenes, and print one table.
+"""Train variants of network and recipe at equal samples, score them on held-out scenes, and print one table.
 
 python train/ablate.py --config train/configs/ablation.yaml --runs runs/ablation --markdown docs/results.md
 
