@@ -20,7 +20,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from comparison import FIGURES, SCORED_AT, MarkedPage, is_complete, run_to_end, score_model, write
+from comparison import FIGURES, SCORED_AT, checked_page, is_complete, run_to_end, score_model, write
 
 #: name -> (label, options of train/train.py): variants of the network, all by the recipe of the config
 NETWORKS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -84,9 +84,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise ValueError(f"{given}: give at least 1 seed, 2 scenes and 1 job")
         if args.only_score and more:
             raise ValueError(f"--only-score trains nothing: leave out {' '.join(more)}")
-        page = MarkedPage(args.markdown, "ablate.py") if args.markdown is not None else None
-        if page is not None:
-            page.around()
+        page = checked_page(args.markdown, "ablate.py")
         runs = train(args, names, more)
         rows = [row for name in names if (row := score(name, runs[name], args.scenes))]
         if not rows:

@@ -123,6 +123,19 @@ class MarkedPage:
         write(self.path, f"{before}{self.begin}\n{text}{self.end}{after}")
 
 
+def checked_page(path: Path | None, script: str) -> MarkedPage | None:
+    """The page of ``--markdown`` where one is given, looked at before hours of work.
+
+    Raises:
+        ValueError, FileNotFoundError: as :meth:`MarkedPage.around`.
+    """
+    if path is None:
+        return None
+    page = MarkedPage(path, script)
+    page.around()
+    return page
+
+
 def write(path: Path, text: str) -> None:
     """Replace a file at once."""
     from ajna.training.run_files import atomic_path

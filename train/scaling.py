@@ -6,7 +6,7 @@ python train/scaling.py --config train/configs/synthetic.yaml --steps 4000,8000,
 
 Each budget is a run of its own, the whole schedule (warm-up, curriculum, learning rate) stretched to it: points along
 one run would be compared at learning rates that had not fallen yet. ``--also`` names finished models, which are not
-fitted but set against the fit.
+fitted but set against the fit. Other options go to train/train.py, as ``--trainer.precision 32-true``.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from comparison import SCORED_AT, MarkedPage, Scored, is_complete, run_to_end, score_model, write
+from comparison import SCORED_AT, Scored, checked_page, is_complete, run_to_end, score_model, write
 from numpy.typing import NDArray
 
 _RESAMPLES = 2000
@@ -37,7 +37,7 @@ _STEPS = (
 
 @dataclass(frozen=True)
 class PowerLaw:
-    """error = factor * samples ** -exponent, in pixels, with 95 % intervals over the scenes."""
+    """error = factor * samples ** -exponent, in pixels, with the exponent's 95 % interval over the scenes."""
 
     factor: float
     exponent: float
@@ -59,15 +59,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--also", type=Path, nargs="*", default=[], help="finished models to set against the fit")
     parser.add_argument("--markdown", type=Path, help="file whose part between the marks is replaced by the table")
     parser.add_argument("--only-score", action="store_true", help="leave out what is not complete, and train nothing")
-    args = parser.parse_args(argv)
+    args, more = parser.parse_known_args(argv)
     try:
         budgets = budgets_of(args.steps)
         if args.scenes < 2:
             raise ValueError(f"--scenes {args.scenes}: give at least 2")
-        page = MarkedPage(args.markdown, "scaling.py") if args.markdown is not None else None
-        if page is not None:
-            page.around()
-        scored = [score_model(folder / "model.safetensors", args.scenes) for folder in train(args, budgets)]
+        if args.only_score and more:
+            raise ValueError(f"--only-score trains nothing: leave out {' '.join(more)}")
+        page = checked_page(args.markdown, "scaling.py")
+        scored = [score_model(folder / "model.safetensors", args.scenes) for folder in train(args, budgets, more)]
         if len(scored) < 3:
             raise ValueError(f"{len(scored)} complete runs in '{args.runs}': a fit takes three lengths or more")
         law = fit([run.samples for run in scored], np.array([run.epes for run in scored]))
@@ -119,7 +119,7 @@ def stretched(config: dict[str, Any], steps: int) -> dict[str, Any]:
     return result
 
 
-def train(args: argparse.Namespace, budgets: Sequence[int]) -> list[Path]:
+def train(args: argparse.Namespace, budgets: Sequence[int], more: Sequence[str]) -> list[Path]:
     """Bring the runs of all budgets to their end; the folders of complete ones.
 
     Raises:
@@ -134,7 +134,7 @@ def train(args: argparse.Namespace, budgets: Sequence[int]) -> list[Path]:
         if not args.only_score and not is_complete(args.runs / name):
             path = args.runs / f"{name}.yaml"
             write(path, yaml.safe_dump(stretched(config, steps), sort_keys=False))
-            run_to_end(path, args.runs, name, [])
+            run_to_end(path, args.runs, name, more)
         if is_complete(args.runs / name):
             folders.append(args.runs / name)
     return folders

@@ -52,7 +52,7 @@ def test_trains_scores_and_writes_the_table(
     ablate: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     config, page, runs = tmp_path / "tiny.yaml", tmp_path / "page.md", tmp_path / "runs"
-    marks = ablate.MarkedPage(page, "ablate.py")
+    marks = sys.modules["comparison"].MarkedPage(page, "ablate.py")
     config.write_text(CONFIG)
     page.write_text(f"before\n{marks.begin}\nold\n{marks.end}\nafter\n")
     options = ["--config", config, "--runs", runs, "--scenes", "2", "--variants", "paper,heads", "--markdown", page]

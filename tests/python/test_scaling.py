@@ -81,7 +81,7 @@ def test_the_whole_schedule_is_stretched(scaling: ModuleType) -> None:
     assert half["model"]["loss"]["l1_steps"] == config["model"]["loss"]["l1_steps"] // 2
     assert half["data"]["stages"][1]["from_step"] == config["data"]["stages"][1]["from_step"] // 2
     assert half["model"]["optim"]["lr"] == config["model"]["optim"]["lr"]
-    assert scaling.stretched(half, steps) == {**config, "trainer": {**config["trainer"]}}
+    assert scaling.stretched(half, steps) == config
     with pytest.raises(ValueError, match=r"trainer\.max_steps"):
         scaling.stretched({"model": {}}, 10)
 
@@ -92,7 +92,7 @@ def test_trains_fits_and_writes_the_table(
 ) -> None:
     config, page, runs = tmp_path / "tiny.yaml", tmp_path / "page.md", tmp_path / "runs"
     config.write_text(CONFIG)
-    marks = scaling.MarkedPage(page, "scaling.py")
+    marks = sys.modules["comparison"].MarkedPage(page, "scaling.py")
     page.write_text(f"before\n{marks.begin}\nold\n{marks.end}\nafter\n")
     options = ["--config", config, "--runs", runs, "--scenes", "2", "--steps", "4,2,8", "--markdown", page]
     assert scaling.main(list(map(str, options))) == 0, capsys.readouterr().err
@@ -116,6 +116,7 @@ def test_trains_fits_and_writes_the_table(
         (["--steps", "a,b,c"], "--steps a,b,c"),
         (["--scenes", "1"], "--scenes 1"),
         (["--only-score"], "0 complete runs"),
+        (["--only-score", "--trainer.precision=32-true"], "--trainer.precision=32-true"),
         (["--markdown", "nowhere.md"], "nowhere.md"),
     ],
 )

@@ -188,6 +188,13 @@ def test_right_camera_sees_the_disparity(scenes) -> None:
     assert np.median(np.abs(depth[wall] / frame.depth[wall] - 1)) < 0.05
 
 
+@pytest.mark.parametrize(("speed_m_s", "baseline_m"), [(4.8, 0.2), (1.6, 0.1)])
+def test_the_stereo_baseline_is_short_among_near_things(speed_m_s: float, baseline_m: float) -> None:
+    method = make_method("morpheyes")
+    method.reset(SimpleNamespace(task="navigate", camera=SMALL, speed_m_s=speed_m_s, half_width_m=0.25, seed=0))
+    assert method.baseline_m == baseline_m
+
+
 def comparable(result: EpisodeResult) -> dict:
     record = dataclasses.asdict(result)
     del record["run_time_ms"], record["cpu_s"]

@@ -92,7 +92,7 @@ def uncertainty(
     import ajna
     from ajna.baselines import SamplingOptions
     from ajna.benchmarks.uncertainty import compare
-    from ajna.cli.outputs import check_folder, put_report, staged_folder
+    from ajna.cli.outputs import check_folder, print_report, staged_folder, write_report
 
     scored_size = parse_size(size)
     assert scored_size is not None
@@ -130,7 +130,8 @@ def uncertainty(
             exclude=split(exclude),
             on_case=on_case,
         )
-        put_report(table, "uncertainty", stage, as_json)
+        write_report(table, "uncertainty", stage)
+    print_report(table, as_json)
 
 
 def split(values: Iterable[str] | None) -> list[str]:

@@ -55,7 +55,7 @@ def flight(
 
     from ajna.benchmarks.flight import measure
     from ajna.cli.bench import split
-    from ajna.cli.outputs import check_folder, put_report, staged_folder
+    from ajna.cli.outputs import check_folder, print_report, staged_folder, write_report
     from ajna.cli.speed import exported
     from ajna.flight_program import find_program
     from ajna.model import checkpoint_path
@@ -93,4 +93,5 @@ def flight(
             seconds=seconds,
             on_turn=lambda label, count: status.update(f"{label}, {count} threads"),
         )
-        put_report(result, "flight", stage, as_json)
+        write_report(result, "flight", stage)
+    print_report(result, as_json)

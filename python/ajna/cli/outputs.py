@@ -23,13 +23,20 @@ class Report(Protocol):
     def to_json(self) -> object: ...
 
 
-def put_report(result: Report, name: str, stage: Path | None, as_json: bool) -> None:
-    """``name``.md and ``name``.json into ``stage`` where there is one; the one or the other to standard output."""
-    text, record = result.to_markdown(), json.dumps(result.to_json(), indent=2)
+def write_report(result: Report, name: str, stage: Path | None) -> None:
+    """``name``.md and ``name``.json into ``stage``, a folder of :func:`staged_folder`; nothing where there is none."""
     if stage is not None:
-        (stage / f"{name}.md").write_text(text)
-        (stage / f"{name}.json").write_text(record)
-    typer.echo(record if as_json else text, nl=as_json)
+        (stage / f"{name}.md").write_text(result.to_markdown())
+        (stage / f"{name}.json").write_text(_record(result))
+
+
+def print_report(result: Report, as_json: bool) -> None:
+    """JSON or Markdown to standard output: to be called once the files are in their place."""
+    typer.echo(_record(result) if as_json else result.to_markdown(), nl=as_json)
+
+
+def _record(result: Report) -> str:
+    return json.dumps(result.to_json(), indent=2)
 
 
 def check_folder(folder: Path) -> None:

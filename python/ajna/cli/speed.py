@@ -45,7 +45,7 @@ def speed(
     from rich.console import Console
 
     from ajna.benchmarks.speed import measure
-    from ajna.cli.outputs import check_folder, put_report, staged_folder
+    from ajna.cli.outputs import check_folder, print_report, staged_folder, write_report
     from ajna.model import checkpoint_path
 
     parsed = parse_size(size)
@@ -73,7 +73,8 @@ def speed(
             seconds=seconds,
             on_turn=lambda name, turn: status.update(f"{name}, turn {turn + 1} of {rounds}"),
         )
-        put_report(result, "speed", stage, as_json)
+        write_report(result, "speed", stage)
+    print_report(result, as_json)
 
 
 def _chosen(given: Sequence[str] | None) -> list[str]:
