@@ -32,11 +32,14 @@ NETWORKS: dict[str, tuple[str, dict[str, Any]]] = {
         {"model.net.skip_connections": True, "model.net.scale_heads": True},
     ),
     "correlation": ("correlation volume at 1/8, radius 4", {"model.net.correlation_radius": 4}),
+    "skip_correlation": (
+        "skip connections and correlation volume",
+        {"model.net.skip_connections": True, "model.net.correlation_radius": 4},
+    ),
 }
-_MIX = {"general": 2, "dodge": 1, "navigate": 2, "gap": 2, "pile": 1, "photometric": 0.5}
 #: likewise: the paper's network, one part of the recipe changed
 RECIPES: dict[str, tuple[str, dict[str, Any]]] = {
-    "mix": ("scenes of every task beside the general ones", {"data.scene": {"bank_size": 192, "mix": _MIX}}),
+    "general": ("scenes of the general preset alone", {"data.scene": {"bank_size": 192, "mix": {"general": 1.0}}}),
     "no_l1": ("the paper's loss alone, without L1 beside it", {"model.loss.l1_share": 0.0}),
     "half_rate": ("half the learning rate", {"model.optim.lr": 7.5e-5}),
     "double_rate": ("twice the learning rate", {"model.optim.lr": 3e-4}),
@@ -89,6 +92,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         rows = [row for name in names if (row := score(name, runs[name], args.scenes))]
         if not rows:
             raise ValueError(f"no complete run in '{args.runs}': run without --only-score")
+        if (start := start_of(args.config)) is not None:
+            rows.insert(0, start_row(start, args.scenes))
     except (ValueError, OSError) as error:
         print(f"ablate.py: {error}", file=sys.stderr)
         return 2
@@ -163,6 +168,23 @@ def score(name: str, folders: Sequence[Path], scenes: int) -> Row | None:
     )
 
 
+def start_of(config: Path) -> str | None:
+    """The model whose weights a config begins with, if any."""
+    import yaml
+
+    return (yaml.safe_load(config.read_text(encoding="utf-8")).get("model") or {}).get("init_from")
+
+
+def start_row(name: str, scenes: int) -> Row:
+    """That model as it is."""
+    from ajna.model import checkpoint_path
+
+    run = score_model(Path(checkpoint_path(name)), scenes)
+    latency = statistics.median(run.times_ms)
+    label = "what all begin with, not trained on"
+    return Row("start", label, run.parameters, run.flops, latency, 0, 0.0, (run.mean,))
+
+
 def table(rows: Sequence[Row], scenes: int) -> str:
     """Markdown: mean over the seeds, and their range where there are several."""
     head = ["variant", "M parameters", "GFLOP", "ms", "samples", "minutes", *(name for name, _ in FIGURES.values())]
@@ -179,7 +201,7 @@ def table(rows: Sequence[Row], scenes: int) -> str:
     lines += [
         "",
         f"{seeds} run{'s' if seeds > 1 else ''} each; {scenes} held-out scenes of the general preset at "
-        f"{width}x{height}, means over the scenes"
+        f"{width}x{height}, and as many of the tasks' presets, means over the scenes"
         + (", and over the runs, whose range stands in brackets." if seeds > 1 else "."),
     ]
     return "\n".join(lines) + "\n"

@@ -7,17 +7,26 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-#: figure of `ajna.evaluation.Scores` -> (heading, digits)
+if TYPE_CHECKING:
+    from ajna.data.synthetic import SyntheticScenes
+
+_TASK = "task_"
+#: figure of `ajna.evaluation.Scores` -> (heading, digits); on scenes of the tasks' presets behind `_TASK`
 FIGURES = {
     "epe": ("EPE px", 2),
     "ause": ("AUSE", 3),
     "rho": ("Spearman", 2),
     "occlusion_auc": ("occlusion AUC", 2),
-    "boundary_ratio": ("times at boundaries", 1),
+    "expected_boundary_ratio": ("times at boundaries", 1),
+    f"{_TASK}epe": ("EPE px, task scenes", 2),
+    f"{_TASK}expected_boundary_ratio": ("times at boundaries, task scenes", 1),
 }
+_TASKS = ("dodge", "navigate", "gap", "pile")
 SCORED_AT = (320, 240)
 
 
@@ -62,28 +71,44 @@ def is_complete(folder: Path) -> bool:
     return (folder / "complete").is_file()
 
 
+@lru_cache
+def held_out(count: int, width: int, height: int, preset: str) -> SyntheticScenes:
+    """Scenes that no training or validation sees; one set for all models, as its textures take seconds to make."""
+    from ajna.data.synthetic import SyntheticScenes
+
+    return SyntheticScenes(count, width, height, seed=1, scene={"preset": preset})
+
+
 def score_model(path: Path, scenes: int) -> Scored:
-    """Cost of a model file, and its scores on scenes that no training or validation sees (general preset).
+    """Cost of a model file, and its scores on held-out scenes.
 
     Raises:
         FileNotFoundError, ValueError: as `ajna.nn.load_checkpoint`.
     """
     import ajna
-    from ajna.data.synthetic import SyntheticScenes
-    from ajna.evaluation import evaluate
+    from ajna.evaluation import MethodReport, evaluate, mean_scores
     from ajna.nn import count_macs, count_parameters, load_checkpoint
 
     width, height = SCORED_AT
     net, metadata = load_checkpoint(path)
-    held_out = SyntheticScenes(scenes, width, height, seed=1)
-    result = evaluate(held_out, {"model": ajna.load(path)}, size=None, repeats=1).methods["model"]
+    model = ajna.load(path)
+
+    def scored(count: int, preset: str) -> MethodReport:
+        scenes = held_out(count, width, height, preset)
+        return evaluate(scenes, {"model": model}, size=None, repeats=1).methods["model"]
+
+    result = scored(scenes, "general")
+    each = -(-scenes // len(_TASKS))
+    cases = {f"{task} {name}": case for task in _TASKS for name, case in scored(each, task).cases.items()}
+    mean = asdict(result.mean)
+    mean |= {f"{_TASK}{figure}": value for figure, value in asdict(mean_scores(cases)).items()}
     return Scored(
         parameters=count_parameters(net),
         flops=2 * count_macs(net.config, height, width),
         times_ms=tuple(result.run_times_ms),
         samples=int(metadata["provenance"]["samples"]),
         minutes=float(metadata["provenance"]["training_seconds"]) / 60,
-        mean={figure: getattr(result.mean, figure) for figure in FIGURES},
+        mean={figure: mean[figure] for figure in FIGURES},
         epes=tuple(case.epe for case in result.cases.values() if case.epe is not None),
     )
 

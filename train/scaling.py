@@ -5,8 +5,10 @@
 python train/scaling.py --config train/configs/synthetic.yaml --steps 4000,8000,16500 --markdown docs/results.md
 
 Each budget is a run of its own, the whole schedule (warm-up, curriculum, learning rate) stretched to it: points along
-one run would be compared at learning rates that had not fallen yet. ``--also`` names finished models, which are not
-fitted but set against the fit. Other options go to train/train.py, as ``--trainer.precision 32-true``.
+one run are compared at learning rates that have not fallen yet. Where so many runs cost too much, ``--models`` fits
+finished models instead, which may well be of one run; as FILE:SAMPLES where a model went on from another's weights,
+for a file counts the samples of its own run. ``--also`` names, likewise, models that are not fitted but set against
+the fit. Other options go to train/train.py, as ``--trainer.precision 32-true``.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ import copy
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +58,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--runs", type=Path, default=Path("runs/scaling"), help="folder of the runs and of scaling.json"
     )
     parser.add_argument("--scenes", type=int, default=64, help="held-out scenes that each is scored on")
-    parser.add_argument("--also", type=Path, nargs="*", default=[], help="finished models to set against the fit")
+    parser.add_argument("--models", nargs="+", default=[], help="finished models to fit, in place of runs of --steps")
+    parser.add_argument("--also", nargs="*", default=[], help="finished models to set against the fit")
     parser.add_argument("--markdown", type=Path, help="file whose part between the marks is replaced by the table")
     parser.add_argument("--only-score", action="store_true", help="leave out what is not complete, and train nothing")
     args, more = parser.parse_known_args(argv)
@@ -64,24 +67,53 @@ def main(argv: Sequence[str] | None = None) -> int:
         budgets = budgets_of(args.steps)
         if args.scenes < 2:
             raise ValueError(f"--scenes {args.scenes}: give at least 2")
-        if args.only_score and more:
-            raise ValueError(f"--only-score trains nothing: leave out {' '.join(more)}")
+        if more and (args.only_score or args.models):
+            option = "--only-score" if args.only_score else "--models"
+            raise ValueError(f"{option} trains nothing: leave out {' '.join(more)}")
         page = checked_page(args.markdown, "scaling.py")
-        scored = [score_model(folder / "model.safetensors", args.scenes) for folder in train(args, budgets, more)]
+        if args.models:
+            given = sorted((scored_as(text, args.scenes) for text in args.models), key=lambda run: run.samples)
+            scored = [run for i, run in enumerate(given) if i == 0 or run.samples > given[i - 1].samples]
+        else:
+            scored = [score_model(folder / "model.safetensors", args.scenes) for folder in train(args, budgets, more)]
         if len(scored) < 3:
-            raise ValueError(f"{len(scored)} complete runs in '{args.runs}': a fit takes three lengths or more")
+            found = "models of different samples" if args.models else f"complete runs in '{args.runs}'"
+            raise ValueError(f"{len(scored)} {found}: a fit takes three lengths or more")
         law = fit([run.samples for run in scored], np.array([run.epes for run in scored]))
-        others = [(path.name, score_model(path, args.scenes)) for path in args.also]
+        others = [(label_of(split_samples(text)[0]), scored_as(text, args.scenes)) for text in args.also]
     except (ValueError, OSError) as error:
         print(f"scaling.py: {error}", file=sys.stderr)
         return 2
-    text = table(scored, law, others, args.scenes)
+    what = "finished models, learning rates as they were" if args.models else "one run each, whole schedules"
+    text = table(scored, law, others, args.scenes, what)
     record = {"fit": asdict(law), "runs": [asdict(run) for run in scored], "also": [asdict(run) for _, run in others]}
     write(args.runs / "scaling.json", json.dumps(record, indent=2) + "\n")
     if page is not None:
         page.put(text)
     print(text, end="")
     return 0
+
+
+def split_samples(text: str) -> tuple[Path, int | None]:
+    """FILE or FILE:SAMPLES of ``--models`` and ``--also``."""
+    path, _, samples = text.rpartition(":")
+    return (Path(path), int(samples)) if path and samples.isdecimal() else (Path(text), None)
+
+
+def label_of(path: Path) -> str:
+    """A model file's name, or its run's where training named it."""
+    return path.parent.name if path.stem in ("model", "best") and path.parent.name else path.stem
+
+
+def scored_as(text: str, scenes: int) -> Scored:
+    """Scores of a finished model, counted at the samples that were given with it.
+
+    Raises:
+        FileNotFoundError, ValueError: as `score_model`.
+    """
+    path, samples = split_samples(text)
+    run = score_model(path, scenes)
+    return run if samples is None else replace(run, samples=samples)
 
 
 def budgets_of(text: str) -> list[int]:
@@ -164,15 +196,14 @@ def fit(samples: Sequence[float], epes: NDArray[np.float64]) -> PowerLaw:
     return PowerLaw(*line(epes.mean(axis=1)), (float(low), float(high)))
 
 
-def table(runs: Sequence[Scored], law: PowerLaw, others: Sequence[tuple[str, Scored]], scenes: int) -> str:
+def table(runs: Sequence[Scored], law: PowerLaw, others: Sequence[tuple[str, Scored]], scenes: int, what: str) -> str:
     """Markdown: samples, EPE, the fit's EPE, and what ten times the largest budget should give."""
-    lines = ["| samples | minutes | EPE px | of the fit | AUSE | times at boundaries |", "|---|---|---|---|---|---|"]
+    lines = ["| samples | EPE px | of the fit | AUSE | times at boundaries |", "|---|---|---|---|---|"]
     for label, run in [("", run) for run in runs] + list(others):
         mark = f" ({label}, not fitted)" if label else ""
-        ause, ratio = run.mean["ause"], run.mean["boundary_ratio"]
+        ause, ratio = run.mean["ause"], run.mean["expected_boundary_ratio"]
         cells = [
             f"{run.samples:,}{mark}",
-            f"{run.minutes:.0f}",
             f"{np.mean(run.epes):.2f}",
             f"{law.at(run.samples):.2f}",
         ]
@@ -186,8 +217,8 @@ def table(runs: Sequence[Scored], law: PowerLaw, others: Sequence[tuple[str, Sco
         f"EPE = {law.factor:.3g} px · samples^-{law.exponent:.3f} (95 % interval of the exponent over the scenes "
         f"{low:.3f} to {high:.3f}): ten times the samples make the EPE {10**-law.exponent:.2f} times as large, "
         f"{law.at(10 * largest):.2f} px at {10 * largest:,}. {scenes} held-out scenes of the general preset at "
-        f"{width}x{height}; one run each, whole schedules. A fit over so short a range says what the next step should "
-        "buy, not where the error ends.",
+        f"{width}x{height}; {what}. A fit over so short a range says what the next step should buy, not where the "
+        "error ends.",
     ]
     return "\n".join(lines) + "\n"
 

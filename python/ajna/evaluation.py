@@ -83,6 +83,8 @@ class Scores:
     occlusion_auc: float | None = None  # ROC AUC of the uncertainty norm for the occlusion mask
     motion_boundary_auc: float | None = None  # the same for motion boundaries
     boundary_ratio: float | None = None  # median uncertainty there and at hidden pixels over that of textured surfaces
+    expected_boundary_ratio: float | None = None  # the same of the expected error; models only
+    error_boundary_ratio: float | None = None  # the same of the actual error
     ece_px: float | None = None  # expected calibration error of the expected error; calibrated models only
     coverage_90: float | None = None  # share of flow components inside their 90 % interval; calibrated models only
     width_90_px: float | None = None  # mean width of these intervals, pixels
@@ -258,19 +260,31 @@ def _score(pair: FramePair, result: Any, run_time_ms: float, curves: Sparsificat
         pearson=_defined(Pearson()(prediction, target, uncertainty, valid)),
         occlusion_auc=_defined(auc),
         motion_boundary_auc=_defined(MotionBoundaryAUC()(uncertainty, boundary, valid)),
-        boundary_ratio=_boundary_ratio(pair, boundary[0].numpy(), result),
+        **_boundary_ratios(pair, boundary[0].numpy(), result),
         **_calibration_scores(prediction, target, valid, result, report),
         run_time_ms=run_time_ms,
     )
 
 
-def _boundary_ratio(pair: FramePair, boundary: NDArray[np.bool_], result: Any) -> float | None:
-    """See `analysis.boundary_ratio`; None where it is not defined, or ground truth too sparse to tell boundaries."""
-    if pair.valid is None or pair.valid.mean() < DENSE_SHARE:
-        return None
-    norm = np.linalg.norm(np.asarray(result.uncertainty), axis=2)
-    ratio = analysis.boundary_ratio(pair.frame1, boundary, pair.occlusion, norm)
-    return ratio if math.isfinite(ratio) else None
+def _boundary_ratios(pair: FramePair, boundary: NDArray[np.bool_], result: Any) -> dict[str, float]:
+    """See `analysis.boundary_ratio`; without those not defined, empty where ground truth is too sparse for boundaries.
+
+    A ratio depends on the unit: the paper's Y goes about with the root of the error that it stands for, so only the
+    expected error's compares with the actual error's, and with that of methods whose uncertainty is in pixels.
+    """
+    if pair.flow is None or pair.valid is None or pair.valid.mean() < DENSE_SHARE:
+        return {}
+    maps = {
+        "boundary_ratio": result.uncertainty,
+        "expected_boundary_ratio": getattr(result, "expected_error", None),
+        "error_boundary_ratio": np.where(pair.valid[..., None], result.flow - pair.flow, 0.0),
+    }
+    ratios = {
+        name: analysis.boundary_ratio(pair.frame1, boundary, pair.occlusion, np.linalg.norm(np.asarray(given), axis=2))
+        for name, given in maps.items()
+        if given is not None
+    }
+    return {name: ratio for name, ratio in ratios.items() if math.isfinite(ratio)}
 
 
 def _calibration_scores(

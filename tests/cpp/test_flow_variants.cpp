@@ -45,12 +45,15 @@ std::string label(const NetConfig& c) {
 
 TEST(FlowVariants, StayWithinTheBudgetAtFullSize) {
   for (const auto& config :
-       {variant(1, 0, 0), variant(0, 1, 0), variant(1, 1, 0), variant(0, 0, 4), variant(1, 1, 4)}) {
+       {variant(1, 0, 0), variant(0, 1, 0), variant(1, 1, 0), variant(0, 0, 4), variant(1, 0, 4)}) {
     EXPECT_LE(count_parameters(config), 2'800'000) << label(config);
     EXPECT_LE(2e-9 * static_cast<double>(count_macs(config, 240, 320)), 7.0) << label(config);
   }
-  // Sums cost no parameters; a head has 3 x 3 x channels x 4 weights and 4 biases.
-  EXPECT_EQ(count_parameters(variant(1, 0, 0)), count_parameters(NetConfig{}));
+  // A skip connection has channels x channels weights and a bias each; a head 3 x 3 x channels x 4 weights, 4 biases.
+  EXPECT_EQ(count_parameters(variant(1, 0, 0)) - count_parameters(NetConfig{}),
+            (32 * 32 + 32) + (64 * 64 + 64) + (128 * 128 + 128));
+  EXPECT_EQ(count_macs(variant(1, 0, 0), 240, 320) - count_macs(NetConfig{}, 240, 320),
+            32 * 32 * 120 * 160 + 64 * 64 * 60 * 80 + 128 * 128 * 30 * 40);
   EXPECT_EQ(count_parameters(variant(0, 1, 0)) - count_parameters(NetConfig{}), (9 * 64 * 4 + 4) + (9 * 32 * 4 + 4));
   EXPECT_EQ(count_macs(variant(0, 1, 0), 240, 320) - count_macs(NetConfig{}, 240, 320),
             9 * 64 * 4 * 60 * 80 + 9 * 32 * 4 * 120 * 160);
@@ -123,15 +126,29 @@ TEST(FlowVariants, SkipConnectionsCarryTheEncodersOutputs) {
   const auto x = torch::rand({1, 6, 32, 32});
   const auto layers = net->forward_layers(x);  // 6 of the encoder, 7 of the decoder
   ASSERT_EQ(layers.size(), 13U);
-  // Without its own weights a decoder layer hands on what the encoder gave at that size: 1/8, 1/4, 1/2.
-  for (const auto& [decoder, encoder] : std::vector<std::pair<std::string, std::size_t>>{{"1", 3}, {"3", 1}}) {
+  // Without its own weights a decoder layer hands on what the encoder gave at that size (1/8, 1/4), by the 1x1 kernel.
+  struct Place {
+    std::string decoder;
+    std::size_t encoder;
+    std::string skip;
+  };
+  for (const auto& place : std::vector<Place>{{"1", 3, "2"}, {"3", 1, "1"}}) {
     auto blank = small_net(variant(1, 0, 0, narrow()));
+    torch::Tensor weight, bias;
     for (const auto& parameter : blank->named_parameters()) {
-      if (parameter.key().rfind("decoder." + decoder + ".conv", 0) == 0) {
+      if (parameter.key().rfind("decoder." + place.decoder + ".conv", 0) == 0) {
         parameter.value().zero_();
+      } else if (parameter.key() == "skips." + place.skip + ".conv.weight") {
+        weight = parameter.value();
+      } else if (parameter.key() == "skips." + place.skip + ".conv.bias") {
+        bias = parameter.value();
       }
     }
-    EXPECT_TRUE(torch::equal(blank->forward_layers(x)[6 + std::stoul(decoder)], layers[encoder])) << decoder;
+    ASSERT_TRUE(weight.defined() && bias.defined()) << place.skip;
+    const auto carried = layers[place.encoder];
+    const auto expected = torch::einsum("oi,nihw->nohw", {weight.flatten(1), carried}) + bias.view({1, -1, 1, 1});
+    const auto given = blank->forward_layers(x)[6 + std::stoul(place.decoder)];
+    EXPECT_TRUE(torch::allclose(given, expected, 1e-5, 1e-6)) << place.decoder;
   }
 }
 

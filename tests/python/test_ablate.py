@@ -68,6 +68,15 @@ def test_trains_scores_and_writes_the_table(
 
     assert all((runs / f"{name}_seed1.log").stat().st_size > 0 for name in ("paper", "heads"))
 
+    # What a config begins with stands above them, as it is.
+    assert ablate.start_of(config) is None
+    begun = tmp_path / "begun.yaml"
+    begun.write_text(CONFIG.replace("model:", f"model:\n  init_from: {runs / 'heads_seed1' / 'model.safetensors'}"))
+    only = ["--config", begun, "--runs", runs, "--scenes", "2", "--variants", "heads", "--only-score"]
+    assert ablate.main(list(map(str, only))) == 0, capsys.readouterr().err
+    start, heads = json.loads((runs / "ablation.json").read_text())
+    assert (start["variant"], start["samples"]) == ("start", 0) and start["scores"] == heads["scores"]
+
     # Complete runs are not trained again; what was never run is left out.
     before = (runs / "paper_seed1" / "model.safetensors").stat().st_mtime_ns
     options[options.index("paper,heads")] = "paper,skip"
@@ -99,13 +108,13 @@ def test_refusals_are_one_sentence(
 
 def test_seeds_are_averaged_with_their_range(ablate: ModuleType) -> None:
     scores = (
-        {"epe": 1.0, "ause": 0.2, "rho": None, "occlusion_auc": 0.8, "boundary_ratio": 3.0},
+        dict.fromkeys(ablate.FIGURES, 0.4) | {"epe": 1.0, "ause": 0.2, "rho": None, "occlusion_auc": 0.8},
         dict.fromkeys(ablate.FIGURES, 0.4),
     )
     row = ablate.Row("paper", "label", 2_700_000, 6_300_000_000, 53.2, 1000, 2.5, scores)
     line = ablate.table([row], 8).splitlines()[2]
     assert line.startswith("| label | 2.70 | 6.30 | 53 | 1,000 | 2 | 0.70 [0.40, 1.00] | 0.300 [0.200, 0.400] | 0.40 |")
-    assert line.endswith("| 0.60 [0.40, 0.80] | 1.7 [0.4, 3.0] |")
+    assert line.endswith("| 0.60 [0.40, 0.80] | 0.4 [0.4, 0.4] | 0.40 [0.40, 0.40] | 0.4 [0.4, 0.4] |")
 
 
 def test_groups_stand_for_their_variants(ablate: ModuleType) -> None:
@@ -113,7 +122,9 @@ def test_groups_stand_for_their_variants(ablate: ModuleType) -> None:
     assert ablate.chosen("networks,recipes") == list(ablate.VARIANTS)
 
 
-@pytest.mark.parametrize("name", ["paper", "skip_heads", "correlation", "mix", "no_l1", "half_rate", "no_average"])
+@pytest.mark.parametrize(
+    "name", ["paper", "skip_heads", "skip_correlation", "general", "no_l1", "half_rate", "no_average"]
+)
 def test_training_takes_the_options_of_a_variant(
     ablate: ModuleType, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -105,7 +105,15 @@ def test_trains_fits_and_writes_the_table(
     model = runs / "steps2" / "model.safetensors"
     before = model.stat().st_mtime_ns
     assert scaling.main([*map(str, options), "--only-score", "--also", str(model)]) == 0
-    assert model.stat().st_mtime_ns == before and "(model.safetensors, not fitted)" in page.read_text()
+    assert model.stat().st_mtime_ns == before and "(steps2, not fitted)" in page.read_text()
+
+    given = [*(f"{model}:{samples}" for samples in (100, 30)), str(model), str(model)]
+    assert scaling.main([*map(str, options), "--models", *given]) == 0, capsys.readouterr().err
+    record = json.loads((runs / "scaling.json").read_text())
+    assert [run["samples"] for run in record["runs"]] == [4, 30, 100]
+    assert "finished models" in page.read_text()
+    assert scaling.main([*map(str, options), "--models", str(model), str(model)]) == 2
+    assert "1 models of different samples" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -117,6 +125,8 @@ def test_trains_fits_and_writes_the_table(
         (["--scenes", "1"], "--scenes 1"),
         (["--only-score"], "0 complete runs"),
         (["--only-score", "--trainer.precision=32-true"], "--trainer.precision=32-true"),
+        (["--models", "a", "--trainer.precision=32-true"], "--models trains nothing"),
+        (["--models", "nowhere.safetensors"], "nowhere.safetensors"),
         (["--markdown", "nowhere.md"], "nowhere.md"),
     ],
 )

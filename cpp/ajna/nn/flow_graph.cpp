@@ -71,8 +71,10 @@ const std::vector<Layer>& LayerTable::part(Part part) const {
       return decoder;
     case Part::kHeads:
       return heads;
-    default:
+    case Part::kMatching:
       return matching;
+    default:
+      return skips;
   }
 }
 
@@ -84,8 +86,10 @@ const char* part_name(Part part) {
       return "decoder";
     case Part::kHeads:
       return "heads";
-    default:
+    case Part::kMatching:
       return "matching";
+    default:
+      return "skips";
   }
 }
 
@@ -113,6 +117,13 @@ LayerTable layer_table(const NetConfig& c) {
   table.decoder.push_back({channels, c.width, 5, 2, true, true});
   table.decoder.push_back({c.width, c.width / 2, 7, 2, true, true});
   table.decoder.push_back({c.width / 2, c.out_channels, 7, 1, true, false});
+  if (c.skip_connections != 0) {
+    std::int64_t carried = c.width;
+    for (std::int64_t i = 0; i <= c.sub_blocks; ++i) {
+      table.skips.push_back({carried, carried, 1, 1, false, false});
+      carried *= c.expansion;
+    }
+  }
   if (const std::int64_t r = c.correlation_radius; r > 0) {
     table.matching.push_back({c.in_channels / 2, c.width / 2, 7, 2, false, true});
     table.matching.push_back({c.width / 2, c.width, 5, 2, false, true});
@@ -160,7 +171,7 @@ std::vector<Tensor> run_graph(const NetConfig& config, Tensor x, const RunLayer&
     x = run(Part::kDecoder, i, x);
     const bool doubles = i < quarter ? i % 2 == 1 : i == quarter;
     if (doubles && !skips.empty()) {
-      x = x + skips.back();
+      x = x + run(Part::kSkips, skips.size() - 1, skips.back());
       skips.pop_back();
     }
     if (i + 1 == decoder_size && !predictions.empty()) {

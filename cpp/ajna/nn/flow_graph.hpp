@@ -3,6 +3,7 @@
 
 #include <torch/torch.h>
 
+#include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <vector>
@@ -18,17 +19,19 @@ struct Layer {
   [[nodiscard]] bool is_residual() const { return kernel == 0; }
 };
 
-/// The lists of layers that a network consists of; the last two are empty unless its config asks for them.
+/// The lists of layers that a network consists of; the last three are empty unless its config asks for them.
 enum class Part {
   kEncoder,
   kDecoder,
   kHeads,     ///< at 1/4 and at 1/2 of the size
   kMatching,  ///< three that each frame passes alone, then the one from similarities to the encoder's channels
+  kSkips,     ///< 1x1 convolutions from encoder to decoder at 1/2, 1/4 ... of the size
 };
+inline constexpr std::size_t kPartCount = 5;
 
 /// Rows 1 to 13 of the network's table for the paper's options, and what the further options add.
 struct LayerTable {
-  std::vector<Layer> encoder, decoder, heads, matching;
+  std::vector<Layer> encoder, decoder, heads, matching, skips;
   [[nodiscard]] const std::vector<Layer>& part(Part part) const;
 };
 

@@ -15,7 +15,8 @@ namespace {
 namespace F = torch::nn::functional;
 
 /// In the order of their values.
-constexpr std::array<Part, 4> kParts{Part::kEncoder, Part::kDecoder, Part::kHeads, Part::kMatching};
+constexpr std::array<Part, kPartCount> kParts{Part::kEncoder, Part::kDecoder, Part::kHeads, Part::kMatching,
+                                              Part::kSkips};
 
 void append_layers(torch::nn::ModuleList& list, const std::vector<Layer>& layers) {
   for (const auto& layer : layers) {
@@ -184,6 +185,10 @@ std::int64_t count_macs(const NetConfig& config, std::int64_t height, std::int64
   for (std::size_t i = 0; i < table.heads.size(); ++i) {
     area = full_area / (i == 0 ? 16 : 4);
     add(table.heads[i]);
+  }
+  for (std::size_t i = 0; i < table.skips.size(); ++i) {
+    area = full_area >> (2 * (i + 1));
+    add(table.skips[i]);
   }
   if (!table.matching.empty()) {
     const auto& frame_layers = table.matching;

@@ -40,7 +40,7 @@ class FoldedNet {
   static Convolution fold(const torch::nn::Module& owner, const std::string& conv, const std::string& norm);
   static torch::Tensor run(const Block& block, const torch::Tensor& x);
 
-  std::array<std::vector<Block>, 4> parts_;  // by Part
+  std::array<std::vector<Block>, kPartCount> parts_;  // by Part
   NetConfig config_;
   torch::ScalarType precision_;
 };

@@ -34,7 +34,8 @@ _COLUMNS = {
     "rho": ("rho", "{:.2f}"),
     "occlusion_auc": ("AUC", "{:.2f}"),
     "motion_boundary_auc": ("edges", "{:.2f}"),
-    "boundary_ratio": ("times", "{:.1f}"),
+    "expected_boundary_ratio": ("times", "{:.1f}"),
+    "error_boundary_ratio": ("true", "{:.1f}"),
     "run_time_ms": ("ms", "{:.1f}"),
 }
 
@@ -45,7 +46,8 @@ _LEGEND = (
     "Fl-all: pixels off by over 3 px and 5 %. "
     "AUSE: mean EPE of the kept pixels over the full mean, 50 bins, per image, area to the oracle. "
     "rho: Spearman correlation of uncertainty and error. AUC: ROC AUC of the uncertainty for occlusion; "
-    "edges: for motion boundaries; times: median uncertainty there and where hidden over that of textured surfaces. "
+    "edges: for motion boundaries; times: median expected error there and where hidden over that of textured surfaces; "
+    "true: the same of the error itself. "
     "ms: median time of flow and uncertainty."
 )
 

@@ -24,7 +24,8 @@ COLUMNS: dict[str, tuple[str, int, float]] = {
     "rho": ("Spearman", 2, 1.0),
     "occlusion_auc": ("occlusion AUC", 2, 1.0),
     "motion_boundary_auc": ("boundary AUC", 2, 1.0),
-    "boundary_ratio": ("times at boundaries", 1, 1.0),
+    "expected_boundary_ratio": ("times at boundaries", 1, 1.0),
+    "error_boundary_ratio": ("true error's", 1, 1.0),
     "coverage_90": ("in 90 % interval, %", 1, 100.0),
 }
 

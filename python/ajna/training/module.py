@@ -38,8 +38,7 @@ class FlowModule(pl.LightningModule):
         init_from: a checkpoint (.safetensors), or the name of a shipped model, whose weights to begin with; its shape
             must be that of ``net``.
         grow: ``net`` may have parts that ``init_from`` lacks (skip connections, heads at three scales, a correlation
-            volume). What new layers add to the old ones begins at zero, so that with new heads or a correlation volume
-            the network first answers as the old one; skip connections have no layers, and change it at once.
+            volume). What new layers add to the old ones begins at zero: the network first answers as the old one.
         channels_last: keep weights and activations channels-last (faster on CPUs and tensor cores).
     """
 
@@ -92,21 +91,17 @@ class FlowModule(pl.LightningModule):
                 f"checkpoint '{path}' has flow_scale {metadata['flow_scale']}, not {self.flow_scale}: give that one"
             )
         theirs, mine = loaded.state_dict(), self.net.state_dict()
-        grown = (
-            grow
-            and loaded.config.skip_connections <= self.net.config.skip_connections
-            and all(name in mine and mine[name].shape == tensor.shape for name, tensor in theirs.items())
-        )
+        grown = grow and all(name in mine and mine[name].shape == tensor.shape for name, tensor in theirs.items())
         if loaded.config != self.net.config and not grown:
             raise ValueError(
                 f"checkpoint '{path}' holds {loaded!r}, not {self.net!r}: give net options that agree"
                 + (" but for new parts" if grow else ", or 'grow: true' where the net only has more parts")
             )
         new = [name for name in mine if name not in theirs]
-        # The heads, and the last layer of the matching part, are what is added to the old layers.
+        # Heads, skips, and the last layer of the matching part are what is added to the old layers.
         last = max((name.split(".")[1] for name in new if name.startswith("matching.")), default="")
         for name in new:
-            if name.startswith(("heads.", f"matching.{last}.")):
+            if name.startswith(("heads.", "skips.", f"matching.{last}.")):
                 theirs[name] = torch.zeros_like(mine[name])
         self.net.load_state_dict({**mine, **theirs})
 
