@@ -165,11 +165,13 @@ def test_unusable_options_are_refused_by_name(
     assert not list(tmp_path.rglob("*.ckpt"))
 
 
-def test_the_shipped_config_is_valid() -> None:
+@pytest.mark.parametrize("name", ["synthetic", "synthetic_continue", "synthetic_mix", "synthetic_tasks", "ablation"])
+def test_the_configs_are_valid(name: str) -> None:
     from ajna.training.cli import TrainCLI
 
-    path = REPOSITORY / "train" / "configs" / "synthetic.yaml"
-    assert TrainCLI(["--config", str(path), "--model.net.width", "2"], run=False).datamodule.stages
+    path = REPOSITORY / "train" / "configs" / f"{name}.yaml"
+    small = ["--model.net.width", "2", "--model.init_from", "null"]
+    assert TrainCLI(["--config", str(path), *small], run=False).datamodule.stages
 
 
 def test_throughput_prints_a_line_per_stage(script: ModuleType, config: Path, capsys: Any) -> None:
