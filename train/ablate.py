@@ -179,7 +179,7 @@ def start_row(name: str, scenes: int) -> Row:
     """That model as it is."""
     from ajna.model import checkpoint_path
 
-    run = score_model(Path(checkpoint_path(name)), scenes)
+    run = score_model(checkpoint_path(name), scenes)
     latency = statistics.median(run.times_ms)
     label = "what all begin with, not trained on"
     return Row("start", label, run.parameters, run.flops, latency, 0, 0.0, (run.mean,))

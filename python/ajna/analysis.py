@@ -89,7 +89,8 @@ def boundary_ratio(
     contrast of FLAT_GREY and more that are farther than AWAY_PX from either; BORDER_PX of the image do not count.
 
     Args:
-        frame: RGB uint8 [H, W, 3]. boundary, occluded: bool [H, W]; uncertainty: [H, W], any unit.
+        frame: RGB uint8 [H, W, 3]. boundary, occluded: bool [H, W]; uncertainty: [H, W], any unit; NaN does not
+            count.
 
     Returns:
         The ratio; NaN where either region has fewer than LEAST_PX pixels.
@@ -103,8 +104,8 @@ def boundary_ratio(
     if min(at.sum(), plain.sum()) < LEAST_PX:
         return float("nan")
     values = np.asarray(uncertainty)
-    level = float(np.median(values[plain]))
-    return float(np.median(values[at])) / level if level > 0 else float("inf")
+    level = float(np.nanmedian(values[plain]))
+    return float(np.nanmedian(values[at])) / level if level > 0 else float("inf")
 
 
 # --- the table -----------------------------------------------------------------------------------------------------

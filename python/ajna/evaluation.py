@@ -83,8 +83,8 @@ class Scores:
     occlusion_auc: float | None = None  # ROC AUC of the uncertainty norm for the occlusion mask
     motion_boundary_auc: float | None = None  # the same for motion boundaries
     boundary_ratio: float | None = None  # median uncertainty there and at hidden pixels over that of textured surfaces
-    expected_boundary_ratio: float | None = None  # the same of the expected error; models only
-    error_boundary_ratio: float | None = None  # the same of the actual error
+    expected_boundary_ratio: float | None = None  # the same of the expected error, where a method gives one
+    error_boundary_ratio: float | None = None  # the same of the actual error, where it is known
     ece_px: float | None = None  # expected calibration error of the expected error; calibrated models only
     coverage_90: float | None = None  # share of flow components inside their 90 % interval; calibrated models only
     width_90_px: float | None = None  # mean width of these intervals, pixels
@@ -277,7 +277,7 @@ def _boundary_ratios(pair: FramePair, boundary: NDArray[np.bool_], result: Any) 
     maps = {
         "boundary_ratio": result.uncertainty,
         "expected_boundary_ratio": getattr(result, "expected_error", None),
-        "error_boundary_ratio": np.where(pair.valid[..., None], result.flow - pair.flow, 0.0),
+        "error_boundary_ratio": np.where(pair.valid[..., None], result.flow - pair.flow, np.nan),
     }
     ratios = {
         name: analysis.boundary_ratio(pair.frame1, boundary, pair.occlusion, np.linalg.norm(np.asarray(given), axis=2))

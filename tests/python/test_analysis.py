@@ -223,6 +223,9 @@ def test_boundary_ratio_is_of_medians_over_regions() -> None:
     uncertainty[hidden] = 0.5  # 200 hidden pixels against 320 at the boundary
     assert analysis.boundary_ratio(frame, boundary, hidden, uncertainty) == pytest.approx(4.0)
     assert analysis.boundary_ratio(frame, boundary, None, 3 * uncertainty) == pytest.approx(4.0)
+    unknown = uncertainty.copy()
+    unknown[10:40] = np.nan  # no ground truth there
+    assert analysis.boundary_ratio(frame, boundary, None, unknown) == pytest.approx(4.0)
     flat = np.full_like(frame, 90)
     assert np.isnan(analysis.boundary_ratio(flat, boundary, hidden, uncertainty))  # nothing is textured
     assert np.isnan(analysis.boundary_ratio(frame, np.zeros_like(boundary), None, uncertainty))
