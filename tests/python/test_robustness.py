@@ -90,6 +90,22 @@ def test_figures_of_a_known_field(scene) -> None:
     known = [key for key in ("over_flat", "over_textured") if record[key] is not None]
     assert known and all(record[key] == pytest.approx(3.0) for key in known)
     assert record["over_touched"] is None
+    assert record["px_over_flat"] is None, "a model without calibration has no error in pixels"
+
+
+def test_ratio_in_pixels_of_a_calibrated_field(scene) -> None:
+    """The uncertainty may be the root of the expected error: the ratio in pixels is then its square."""
+    from dataclasses import replace
+
+    from ajna.analysis import distance_to
+
+    bare = replace(scene, frame1=np.full_like(scene.frame1, 90))
+    at = distance_to(scene.boundary, 4) <= 2
+    root = np.where(at, 3.0, 1.0)[..., None] * np.array([1.0, 0.0])
+    field = SimpleNamespace(uncertainty=root, expected_error=root**2, flow=np.zeros((*at.shape, 2)))
+    record = Condition("known", [measure(bare, field, bare, field)] * 2).record()
+    assert record["over_flat"] == pytest.approx(3.0)
+    assert record["px_over_flat"] == pytest.approx(9.0) and record["boundary_px"] == pytest.approx(9.0)
 
 
 def test_patch_lies_in_both_frames_and_hides_boundaries(scene) -> None:

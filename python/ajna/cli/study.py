@@ -297,7 +297,8 @@ def _print_robustness(result: Any) -> None:
     from rich.table import Table
 
     table = Table(title=f"uncertainty over {result.options.scenes} scenes: medians, 95 % intervals")
-    keys = ("boundary", "flat", "textured", "touched", "over_flat", "above_flat_share", "auc", "change_px")
+    ratios = ("over_flat", "px_over_flat", "above_flat_share")
+    keys = ("boundary", "flat", "textured", "touched", *ratios, "auc", "change_px")
     for column in ("disturbance", *keys):
         table.add_column(column)
     for condition in result.conditions:

@@ -54,7 +54,8 @@ class SceneFigures:
     boundary: within 2 px of a motion boundary. flat: local contrast below 4 grey levels, 10 px or more away. textured:
     the rest that far away. touched: what the disturbance covers. auc: probability that a pixel at a boundary is more
     uncertain than one away from it. change_px: mean change of the flow outside of what was touched, against the
-    undisturbed pair.
+    undisturbed pair. boundary_px, flat_px: mean expected error of the calibrated model in these regions; NaN for a
+    model without calibration.
     """
 
     number: int
@@ -64,6 +65,8 @@ class SceneFigures:
     touched: float
     auc: float
     change_px: float
+    boundary_px: float = float("nan")
+    flat_px: float = float("nan")
 
 
 @dataclass
@@ -77,17 +80,19 @@ class Condition:
         """One figure of all scenes [N]; NaN where it does not apply."""
         return np.array([getattr(scene, name) for scene in self.scenes], dtype=np.float64)
 
-    def ratios(self, region: str) -> NDArray[np.float64]:
-        """Boundary over region, of the scenes that have both [M]."""
-        ratio = self.column("boundary") / self.column(region)
+    def ratios(self, region: str, suffix: str = "") -> NDArray[np.float64]:
+        """Boundary over region, of the scenes that have both [M]; suffix "_px": of the expected error."""
+        ratio = self.column(f"boundary{suffix}") / self.column(f"{region}{suffix}")
         return ratio[np.isfinite(ratio)]
 
     def record(self) -> dict[str, Any]:
         """Medians and shares over scenes with their 95 % bootstrap intervals, as plain values; None: does not apply."""
         record: dict[str, Any] = {"name": self.name, "scenes": len(self.scenes)}
-        for name in ("boundary", "flat", "textured", "touched", "change_px"):
+        for name in ("boundary", "flat", "textured", "touched", "change_px", "boundary_px", "flat_px"):
             _entry(record, name, self.column(name), np.median)
         _entry(record, "auc", self.column("auc"), np.mean)
+        # Y goes about with the root of the error it stands for; the claim is also asked of the error in pixels.
+        _entry(record, "px_over_flat", self.ratios("flat", "_px"), np.median)
         for region in ("flat", "textured", "touched"):
             ratio = self.ratios(region)
             record[f"scenes_with_{region}"] = int(ratio.size)
@@ -151,9 +156,11 @@ def measure(scene: StudyScene, field: Any, plain: StudyScene, calm: Any) -> Scen
     contrast = np.minimum(analysis.local_contrast(scene.frame1), analysis.local_contrast(plain.frame1))
     flat = away & (contrast < FLAT_GREY)
 
-    def mean(mask: Mask) -> float:
-        return float(uncertainty[mask].mean()) if mask.sum() >= LEAST_PX else float("nan")
+    def mean(mask: Mask, values: Map | None = uncertainty) -> float:
+        return float(values[mask].mean()) if values is not None and mask.sum() >= LEAST_PX else float("nan")
 
+    expected = getattr(field, "expected_error", None)
+    expected_px = None if expected is None else np.linalg.norm(expected, axis=2)
     change = np.linalg.norm(field.flow - calm.flow, axis=2)
     return SceneFigures(
         number=scene.number,
@@ -163,6 +170,8 @@ def measure(scene: StudyScene, field: Any, plain: StudyScene, calm: Any) -> Scen
         touched=mean(touched & inside),
         auc=_auc(uncertainty[at], uncertainty[away]) if min(at.sum(), away.sum()) >= LEAST_PX else float("nan"),
         change_px=float(change[clear].mean()) if clear.any() else float("nan"),
+        boundary_px=mean(at, expected_px),
+        flat_px=mean(flat, expected_px),
     )
 
 

@@ -60,11 +60,13 @@ def markdown(study: RobustnessStudy, figures: str, pictures: str) -> str:
         "",
         "Medians over scenes of the mean uncertainty in a region (2-norm over the axes); ratios, and the share of the "
         "scenes in which boundaries are the more uncertain; AUC: the probability that a pixel at a boundary is more "
-        "uncertain than one away from it (mean over scenes). 95 % bootstrap intervals over scenes.",
+        "uncertain than one away from it (mean over scenes). *In px*: the same ratio of the expected error, "
+        "since the uncertainty itself goes about with the root of the error it stands for. 95 % bootstrap "
+        "intervals over scenes.",
         "",
-        "| disturbance | boundary | flat | textured | touched | boundary / flat | boundary > flat, % | "
-        "boundary / textured | boundary / touched | AUC | change of flow elsewhere, px |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
+        "| disturbance | boundary | flat | textured | touched | boundary / flat | in px | "
+        "boundary > flat, % | boundary / textured | boundary / touched | AUC | change of flow elsewhere, px |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for record in records:
         what = _WHAT.get(record["name"])
@@ -73,6 +75,7 @@ def markdown(study: RobustnessStudy, figures: str, pictures: str) -> str:
         cells += ["–" if record[k] is None else f"{record[k]:.2f}" for k in ("boundary", "flat", "textured", "touched")]
         cells += [
             _interval(record, "over_flat"),
+            _interval(record, "px_over_flat"),
             _interval(record, "above_flat_share", 100, 0),
             _interval(record, "over_textured"),
             _interval(record, "over_touched"),
