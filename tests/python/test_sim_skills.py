@@ -16,12 +16,12 @@ pytest.importorskip("cv2")
 import ajna
 from ajna import tasks
 from ajna.sim import Frame, make_method, make_world, occlusion_and_flow
-from ajna.sim.benchmark import EXPERIMENTS
+from ajna.sim.benchmark import EXPERIMENTS, task_of
 from ajna.sim.camera import CameraModel
 from ajna.sim.episode import run_episode, true_mask
 from ajna.sim.gl import NoRenderingError, rendering_backend
 from ajna.sim.methods import METHODS
-from ajna.sim.methods.signals import Source, occlusion_jump
+from ajna.sim.methods.signals import Source, TrueMotionSignal, occlusion_jump
 from ajna.sim.methods.skills import PAPERS_VEHICLE, SkillMethod, Timing
 from ajna.sim.observation import Observation, TaskSetup
 from ajna.sim.render import Renderer
@@ -53,6 +53,36 @@ def test_occlusion_jump_marks_what_moves_on_both_sides() -> None:
     assert (jump[thrown] > 0).any() and (jump[~thrown] > 0).any()
     rows, columns = np.nonzero(jump)
     assert np.ptp(columns) < np.ptp(np.nonzero(thrown)[1]) + 2.2 * speed and np.ptp(rows) < 20
+
+
+@pytest.mark.parametrize("velocity", [(3.0, 0.4, -0.1), (0.0, 0.0, 0.0)])
+def test_true_motion_is_what_navigating_takes_a_map_for(velocity: tuple[float, float, float]) -> None:
+    """From the map along the horizon navigating finds the true distances again."""
+    camera = CameraModel(width=160, height=120)
+    world = make_world("forest", 1, camera)
+    with Renderer(world.model, camera) as renderer:
+        frame = Frame(renderer, [world.initial_qpos()], 1, 0.1, 0)
+        depth = frame.depth
+    level = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
+    seen = SimpleNamespace(frame=frame, heading_from_camera=level, velocity_m_s=np.array(velocity))
+    before = SimpleNamespace(frame=SimpleNamespace(time_s=0.0))
+    signal = TrueMotionSignal()
+    options = tasks.SkillOptions()
+    signal.adapt(options)
+    first, second = (SimpleNamespace(time_s=t, tag=tag) for t, tag in ((0.1, seen), (0.0, before)))
+    map_ = signal.source(camera)(first, second, "rotation")
+    assert map_.dtype == np.float32 and map_.shape == depth.shape
+    if not any(velocity):
+        assert np.all(map_ == np.float32(options.horizon.floor))
+        return
+    options.horizon.band, options.horizon.column_step, options.horizon.max_distance_m = 0.02, 1, 50.0
+    found = tasks.horizon_obstacles(map_, level, camera.horizontal_fov_rad, 0.1 * np.array(velocity), options.horizon)
+    row = depth[round(camera.center_px[1])]
+    near = np.array([thing[0] for thing in found])
+    assert len(near) > 40
+    columns = np.array([camera.center_px[0] + camera.focal_px * right / ahead for ahead, right in found])
+    true = row[np.rint(columns).astype(int)]
+    assert np.median(np.abs(near / true - 1)) < 0.02
 
 
 def test_timing_in_frames() -> None:
@@ -120,7 +150,9 @@ def test_methods_and_tables() -> None:
     for name in ("ajna", "ajna-8hz", "ajna-true-flow", "ajna-true-flow-8hz"):
         assert METHODS[name].timing is not None
         assert METHODS[name].takes_checkpoint == (not name.startswith("ajna-true"))
+    assert METHODS["ajna-true-motion"].tasks == {"navigate"}
     for experiment, rows in EXPERIMENTS.items():
+        assert ("ajna-true-motion" in {row.method for row in rows}) == (task_of(experiment) == "navigate")
         assert {"ajna", "ajna-true-flow"} <= {row.method for row in rows}, experiment
     with pytest.raises(ValueError, match="takes no weights"):
         make_method("ajna-true-flow", "some.safetensors")

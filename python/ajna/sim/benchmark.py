@@ -39,6 +39,7 @@ _OURS = (
     PaperRow("ajna-true-flow-8hz", "Ajna on true flow, planning at 8 Hz"),
     PaperRow("flight", "Ajna, the flight program over MAVLink"),
 )
+_TRUE_MOTION = PaperRow("ajna-true-motion", "Ajna on true motion")
 _AJNA = {"run_time_ms": 10.1, "gflops": 6.3, "mparameters": 2.7}
 _OCCMASK = {"run_time_ms": 31.4, "gflops": 62.7, "mparameters": 20.6}
 _MIDAS_S = {"gflops": 43.7, "mparameters": 21.1}
@@ -57,6 +58,7 @@ def _room(success_percent: float) -> tuple[PaperRow, ...]:
         PaperRow("occmask", "OccMask (DIS)"),
         PaperRow("ajna", "Ajna", None, success_percent, **_AJNA),
         *_OURS,
+        _TRUE_MOTION,
     )
 
 
@@ -103,6 +105,7 @@ EXPERIMENTS: dict[str, tuple[PaperRow, ...]] = {
         PaperRow("d435i", "D435i"),
         PaperRow("ajna", "Ajna", None, 92.0, 2.7, 4.1, 11.6, 6.3, 2.7),
         *_OURS,
+        _TRUE_MOTION,
     ),
     "indoor-forest": _room(86.0),
     "boxes": _room(82.0),

@@ -16,7 +16,7 @@ from ajna.sim.methods.depth import D435iSensor, DepthPerception, StereoSensor, T
 from ajna.sim.methods.events import EventPerception
 from ajna.sim.methods.flow import GapFlyt, OcclusionMask
 from ajna.sim.methods.program import FlightProgram
-from ajna.sim.methods.signals import NetworkSignal, TrueFlowSignal
+from ajna.sim.methods.signals import NetworkSignal, TrueFlowSignal, TrueMotionSignal
 from ajna.sim.methods.skills import PAPERS_VEHICLE, SkillMethod, Timing
 
 __all__ = ["METHODS", "MethodInfo", "make_method"]
@@ -54,6 +54,7 @@ METHODS: dict[str, MethodInfo] = {
     ),
     "ajna-true-flow": MethodInfo("Ajna on true flow", _ALL, TrueFlowSignal, timing=Timing()),
     "ajna-true-flow-8hz": MethodInfo("Ajna on true flow, at 8 Hz", _ALL, TrueFlowSignal, timing=PAPERS_VEHICLE),
+    "ajna-true-motion": MethodInfo("Ajna on true motion", frozenset({"navigate"}), TrueMotionSignal, timing=Timing()),
     "flight": MethodInfo("Ajna, flight program", FlightProgram.tasks, FlightProgram, takes_checkpoint=True, whole=True),
     "depth": MethodInfo("true depth", _ALL, lambda: DepthPerception(TrueDepthSensor)),
     "d435i": MethodInfo("D435i (model)", _ALL, lambda: DepthPerception(D435iSensor)),

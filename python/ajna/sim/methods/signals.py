@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 import ajna
 from ajna import tasks
 from ajna.sim.camera import CameraModel, Frame
+from ajna.sim.observation import Observation
 from ajna.sim.truth import occlusion_and_flow
 
-__all__ = ["NetworkSignal", "Signal", "Source", "TrueFlowSignal", "occlusion_jump"]
+__all__ = ["NetworkSignal", "Signal", "Source", "TrueFlowSignal", "TrueMotionSignal", "occlusion_jump"]
 
 Map = NDArray[np.float32]
 
@@ -83,6 +84,38 @@ class TrueFlowSignal:
     def adapt(self, options: tasks.SkillOptions) -> None:
         """Pixels of flow, in narrow rims: as strong as the motion itself, which the mean over a band weakens little."""
         options.horizon.floor, options.horizon.per_px, options.horizon.least_shift_px = 0.02, 1.0, 3.0
+
+
+class TrueMotionSignal:
+    """The map that navigating takes a network's for, from true depth: uncertainty that grows with a point's motion.
+
+    That is the law of :class:`ajna.tasks.HorizonOptions`, without a network's errors and blur: what is lost on it is
+    lost by planning and control, and what a network loses beyond that by its signal.
+    """
+
+    needs = frozenset({"depth"})
+
+    def __init__(self) -> None:
+        self._law = tasks.HorizonOptions()
+
+    def source(self, camera: CameraModel) -> Source:
+        """Reads depth, attitude and velocity from the observations that the snapshots are tagged with."""
+        return lambda first, second, common: self._map(first.tag, first.time_s - second.tag.frame.time_s)
+
+    def adapt(self, options: tasks.SkillOptions) -> None:
+        """Nothing: the law is the skill's own, and is read from there."""
+        self._law = options.horizon
+
+    def _map(self, seen: Observation, interval_s: float) -> Map:
+        camera, law = seen.frame.camera, self._law
+        move = seen.heading_from_camera.T @ seen.velocity_m_s * interval_s
+        focus, ahead = camera.project(move)
+        if not ahead > 0:  # backwards or at rest: the skill looks at no map then
+            return np.full(seen.frame.depth.shape, law.floor, np.float32)
+        pixels, _ = camera.project(camera.rays)
+        shift = np.linalg.norm(pixels - focus, axis=2) + law.least_shift_px
+        inverse = np.where(np.isfinite(seen.frame.depth), 1 / np.maximum(seen.frame.depth, 1e-3), 0.0)
+        return (law.floor + law.per_px * np.linalg.norm(move) * shift * inverse).astype(np.float32)
 
 
 def occlusion_jump(first: Frame, second: Frame) -> Map:
