@@ -101,11 +101,12 @@ def boundary_ratio(
     distance = distance_to(boundary | hidden, AWAY_PX + 1)
     at = inside & ((distance_to(boundary, AT_PX + 1) <= AT_PX) | hidden)
     plain = inside & (distance > AWAY_PX) & (local_contrast(frame) >= FLAT_GREY)
-    if min(at.sum(), plain.sum()) < LEAST_PX:
-        return float("nan")
     values = np.asarray(uncertainty)
-    level = float(np.nanmedian(values[plain]))
-    return float(np.nanmedian(values[at])) / level if level > 0 else float("inf")
+    special, usual = values[at & ~np.isnan(values)], values[plain & ~np.isnan(values)]
+    if min(special.size, usual.size) < LEAST_PX:
+        return float("nan")
+    level = float(np.median(usual))
+    return float(np.median(special)) / level if level > 0 else float("inf")
 
 
 # --- the table -----------------------------------------------------------------------------------------------------

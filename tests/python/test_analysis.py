@@ -226,6 +226,7 @@ def test_boundary_ratio_is_of_medians_over_regions() -> None:
     unknown = uncertainty.copy()
     unknown[10:40] = np.nan  # no ground truth there
     assert analysis.boundary_ratio(frame, boundary, None, unknown) == pytest.approx(4.0)
+    assert np.isnan(analysis.boundary_ratio(frame, boundary, None, np.full_like(uncertainty, np.nan)))  # none anywhere
     flat = np.full_like(frame, 90)
     assert np.isnan(analysis.boundary_ratio(flat, boundary, hidden, uncertainty))  # nothing is textured
     assert np.isnan(analysis.boundary_ratio(frame, np.zeros_like(boundary), None, uncertainty))

@@ -103,7 +103,7 @@ class TrueMotionSignal:
         return lambda first, second, common: self._map(first.tag, first.time_s - second.tag.frame.time_s)
 
     def adapt(self, options: tasks.SkillOptions) -> None:
-        """Nothing: the law is the skill's own, and is read from there."""
+        """Changes nothing: the map is made by the law that the skill will read it by."""
         self._law = options.horizon
 
     def _map(self, seen: Observation, interval_s: float) -> Map:
