@@ -187,6 +187,11 @@ void read_task(YamlSection section, FlightConfig& config) {
   navigate.read("baseline_s", skill.baseline_s);
   navigate.read("floor", skill.navigate.floor);
   navigate.read("blocked", skill.navigate.blocked);
+  YamlSection horizon = navigate.section("horizon");
+  horizon.read("floor", skill.horizon.floor);
+  horizon.read("per_px", skill.horizon.per_px);
+  horizon.read("least_shift_px", skill.horizon.least_shift_px);
+  horizon.finish();
   navigate.finish();
   YamlSection gap = section.section("gap");
   gap.read("forward_m_s", skill.gap_policy.forward_m_s);

@@ -73,6 +73,9 @@ TEST(FlightConfig, TheDocumentedExampleIsValidAndStatesTheDefaults) {
   EXPECT_EQ(example.attitude.max_tilt_rad, plain.attitude.max_tilt_rad);
   EXPECT_EQ(example.skill.dodge_policy.speed_m_s, plain.skill.dodge_policy.speed_m_s);
   EXPECT_EQ(example.skill.navigate_policy.speed_m_s, plain.skill.navigate_policy.speed_m_s);
+  EXPECT_EQ(example.skill.horizon.floor, plain.skill.horizon.floor);
+  EXPECT_EQ(example.skill.horizon.per_px, plain.skill.horizon.per_px);
+  EXPECT_EQ(example.skill.horizon.least_shift_px, plain.skill.horizon.least_shift_px);
   EXPECT_EQ(example.skill.gap_policy.forward_m_s, plain.skill.gap_policy.forward_m_s);
   EXPECT_EQ(example.skill.last_look_s, plain.skill.last_look_s);
 }
@@ -100,6 +103,7 @@ TEST(FlightConfig, ValuesOutOfRangeAreRefused) {
   expect_refused("threads: {control_cpus: [-1]}", "CPU");
   expect_refused("task: {use_attitude: yes}", "neither true nor false");
   expect_refused("task: {horizontal_fov_rad: 4}", "fov");
+  expect_refused("task: {kind: navigate, navigate: {horizon: {per_px: 0}}}", "horizon.per_px");
   expect_refused("output: {rc: {right: {min_us: 500}}}", "1000 to 2000");
   expect_refused("output: {rc: {right: {channel: 8}}}", "must stay the pilot's");
   expect_refused("output: {rc: {right: {channel: 2}}}", "two axes");

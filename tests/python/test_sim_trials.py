@@ -139,6 +139,36 @@ def test_report_of_a_folder(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -
     assert "| Ajna | 1 | 92.0 | 100.0 [100.0, 100.0] |" in again
 
 
+def test_report_keeps_rows_whose_trials_are_gone(tmp_path: Path) -> None:
+    """From another folder, or another machine: what the page had stays, but for what another model flew."""
+    first, second, page = tmp_path / "first", tmp_path / "second", tmp_path / "results.md"
+    put(first, "forest", "depth", 0)
+    put(first, "forest", "ajna", 0)
+    put(first, "forest", "ajna-8hz", 0)
+    write_report(first, page)
+    record_path = page.with_suffix(".json")
+    record = json.loads(record_path.read_text())
+    (flown,) = [row for row in record["simulation"]["forest"] if row["method"] == "ajna-8hz"]
+    assert flown["measured"]["model"].startswith("ajna-best-")
+    flown["measured"]["model"] = "ajna-best-00000000.safetensors"
+    record["simulation"]["forest"].append("no row")
+    record_path.write_text(json.dumps(record))
+
+    put(second, "gap", "depth", 3)
+    write_report(second, page)
+    text = page.read_text()
+    assert "### forest" in text and "### gap" in text
+    assert "Flown 2026-01-01 to 2026-01-04 on M." in text
+    assert "| Ajna | 1 | 92.0 |" in text and "| Ajna, planning at 8 Hz | not run |" in text
+    put(second, "forest", "depth", 1, success=False)  # flown anew it replaces what was kept
+    write_report(second, page)
+    assert "| true depth | 1 | – | 0.0 [0.0, 0.0] |" in page.read_text()
+
+    write_report(second, page, keep=False)
+    text = page.read_text()
+    assert "| Ajna | not run |" in text and "| true depth | 1 |" in text
+
+
 def test_report_errors(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     page = tmp_path / "results.md"
     assert main(["bench", "report", "--out", str(tmp_path / "none"), "--markdown", str(page)]) == 2

@@ -227,16 +227,20 @@ def report(
     markdown: Annotated[
         Path, typer.Option(help="Page to write the tables into; the rest of it stays. A JSON file comes beside it.")
     ],
+    keep: Annotated[
+        bool, typer.Option("--keep/--fresh", help="Keep rows of that JSON file whose trials are not in the folder.")
+    ] = True,
 ) -> None:
     """All tables from the trials that lie in a folder, whatever their number; flies nothing.
 
-    The tables go between two marks in the page (appended where it has none); each row says how many trials it has.
+    The tables go between two marks in the page (appended where it has none); each row says how many trials it has. Rows
+    of which the folder has no trials stay as they were, but for those of another shipped model.
 
     Example: ajna bench report --out flights --markdown docs/results.md
     """
     from ajna.sim.report import write_report
 
-    tables = write_report(out, markdown)
+    tables = write_report(out, markdown, keep)
     rows = [row for table in tables.values() for row in table if row.measured is not None]
     trials = sum(row.measured["trials"] for row in rows if row.measured is not None)
     typer.echo(f"{len(rows)} rows of {trials} trials")

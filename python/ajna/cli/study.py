@@ -229,6 +229,35 @@ def presets(
     typer.echo(json.dumps([row.record() for row in rows]) if as_json else study_of.markdown(rows, options))
 
 
+@study.command()
+def horizon(
+    model: ModelOption = "best",
+    forests: Annotated[int, typer.Option(min=1, help="Number of forests, flown by true depth.")] = 4,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Seed of the first forest; from 1000 on they are apart from those of trials.")
+    ] = 1002,
+    as_json: JsonOption = False,
+) -> None:
+    """Fit the law by which navigating reads distances from a network's uncertainty along the horizon.
+
+    For task.navigate.horizon of flight.yaml, where another network flies. About a minute a forest on one core.
+
+    Example: ajna study horizon --model mine.safetensors
+    """
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from ajna.sim.methods.signals import NetworkSignal
+    from ajna.studies import horizon as study_of
+
+    with Progress(console=Console(stderr=True), disable=not sys.stderr.isatty()) as bar:
+        task = bar.add_task("forests", total=1.0)
+        result = study_of.run(
+            NetworkSignal(model), forests, seed, progress=lambda share: bar.update(task, completed=share)
+        )
+    typer.echo(json.dumps(result.record()) if as_json else study_of.markdown(result))
+
+
 def _measure_robustness(model: str, device: str, options: Any, patch_steps: int, surrogate: Path | None) -> Any:
     import time
 

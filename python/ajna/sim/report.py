@@ -9,7 +9,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from ajna.model import checkpoint_path
 from ajna.sim.benchmark import EXPERIMENTS, Row, as_markdown, cost_of, rows_of
+from ajna.sim.methods import METHODS
 from ajna.sim.statistics import summarize
 from ajna.sim.trials import stored_trials, write_json
 
@@ -35,8 +37,12 @@ ajna bench report --out flights --markdown docs/results.md
 """
 
 
-def collect(out: Path) -> dict[str, list[Row]]:
+def collect(out: Path, earlier: dict[str, Any] | None = None) -> dict[str, list[Row]]:
     """The rows of every experiment, with a summary where trials lie in ``out``.
+
+    Args:
+        earlier: experiment -> rows as :meth:`ajna.sim.benchmark.Row.to_json` gives them; where ``out`` has no trials of
+            a method, its summary there is kept, but for one of another shipped model than the present one.
 
     Raises:
         FileNotFoundError: there is no trial in ``out`` at all.
@@ -54,9 +60,27 @@ def collect(out: Path) -> dict[str, list[Row]]:
                 row.measured["flown"] = {
                     key: sorted({one[key] for one in flown if key in one}) for key in ("date", "machine")
                 }
+                row.measured["model"] = _model_of(row.method)
     if not any(row.measured for rows in tables.values() for row in rows):
         raise FileNotFoundError(f"no trials of the present format in '{out}': fly some by ajna bench WORLD --out {out}")
+    for experiment, rows in (earlier or {}).items():
+        for row in tables.get(experiment, []):
+            if row.measured is None:
+                _keep(row, rows)
     return tables
+
+
+def _model_of(method: str) -> str | None:
+    """The shipped model that flies in a method; None for methods without it, and for networks of the user's."""
+    return checkpoint_path("best").name if METHODS[method].takes_checkpoint else None
+
+
+def _keep(row: Row, records: Any) -> None:
+    """Take a row's summary from a record of earlier ones, where it is of the present model."""
+    for record in records if isinstance(records, list) else []:
+        measured = record.get("measured") if isinstance(record, dict) and record.get("method") == row.method else None
+        if isinstance(measured, dict) and measured.get("model") == _model_of(row.method):
+            row.measured, row.cost = measured, cost_of(row.method)
 
 
 def section(tables: dict[str, list[Row]]) -> str:
@@ -103,20 +127,22 @@ def _speeds(tables: dict[str, list[Row]]) -> str:
     return "\n".join(lines)
 
 
-def write_report(out: Path, page: Path) -> dict[str, list[Row]]:
+def write_report(out: Path, page: Path, keep: bool = True) -> dict[str, list[Row]]:
     """Put the section into a page, between its marks or at its end, and the summaries into the JSON file beside it.
 
-    What else stands in either file stays.
+    What else stands in either file stays, and so do, with ``keep``, the rows of that JSON file whose trials do not lie
+    in ``out`` any more (see :func:`collect`).
 
     Raises:
         FileNotFoundError, ValueError: see :func:`collect`; ValueError, too, where a mark is missing or out of order,
             or the JSON file does not hold a record.
     """
-    tables = collect(out)
-    text = page.read_text(encoding="utf-8") if page.exists() else "# Results\n"
-    changed = _replaced(text, section(tables), page)
     record_path = page.with_suffix(".json")
     record = _record(record_path)
+    earlier = record.get(_KEY) if keep else None
+    tables = collect(out, earlier if isinstance(earlier, dict) else None)
+    text = page.read_text(encoding="utf-8") if page.exists() else "# Results\n"
+    changed = _replaced(text, section(tables), page)
     record[_KEY] = {name: [row.to_json() for row in rows if row.measured] for name, rows in tables.items()}
     page.parent.mkdir(parents=True, exist_ok=True)
     temporary = page.with_name(f".{page.name}.tmp")
