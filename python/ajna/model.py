@@ -24,9 +24,6 @@ if TYPE_CHECKING:
 FrameLike: TypeAlias = "NDArray[np.uint8] | str | os.PathLike[str]"
 
 _WEIGHTS = Path(__file__).parent / "weights"
-# The best model so far is the paper's network, trained by the paper's loss. Once another variant ships as "best", these
-# weights get a file of their own under this name.
-_SAME_FILE = {"paper": "best"}
 _WEIGHTS_NAME = re.compile(r"ajna-(?P<name>.+)-(?P<sha>[0-9a-f]{8})\.safetensors")
 _MODEL_SUFFIXES = (".safetensors", ".pt", ".torchscript")
 
@@ -194,7 +191,7 @@ class Model:
 
 
 def models() -> dict[str, Path]:
-    """The models shipped with the package: name -> checkpoint. Two names can stand for one file.
+    """The models shipped with the package: name -> checkpoint.
 
     Raises:
         ValueError: where two files carry one name.
@@ -205,9 +202,6 @@ def models() -> dict[str, Path]:
             if other := found.get(match["name"]):
                 raise ValueError(f"'{other}' and '{path}' are both model '{match['name']}': remove one of them")
             found[match["name"]] = path
-    for name, same in _SAME_FILE.items():
-        if name not in found and same in found:
-            found[name] = found[same]
     return found
 
 

@@ -199,8 +199,8 @@ def test_shipped_models_by_name(tiny_checkpoint: Path, tmp_path: Path, monkeypat
     path.write_bytes(content)
     (tmp_path / "README.md").write_text("not a model")
     monkeypatch.setattr(ajna.model, "_WEIGHTS", tmp_path)
-    assert ajna.models() == {"best": path, "paper": path}
-    assert ajna.load().info.path == ajna.load("paper").info.path == str(path)
+    assert ajna.models() == {"best": path}
+    assert ajna.load().info.path == str(path)
     assert ajna.load("best").sha256.startswith(sha)
     with pytest.raises(ValueError, match="unknown model 'bset', did you mean 'best'\\? Known: best"):
         ajna.load("bset")

@@ -13,9 +13,9 @@ namespace ajna::tasks {
 /// it can hit lies at the height of its camera: on the horizon of its image, however it is tilted.
 struct HorizonOptions {
   double band = 0.1;             ///< half height of the band about the horizon, as a slope (tangent)
-  double floor = 0.25;           ///< uncertainty without motion, units of the map
-  double per_px = 0.032;         ///< uncertainty per pixel of motion
-  double least_shift_px = 27.0;  ///< a pixel's uncertainty is that of one at least so far from the focus of expansion:
+  double floor = 0.272;          ///< uncertainty without motion, units of the map
+  double per_px = 0.0312;        ///< uncertainty per pixel of motion
+  double least_shift_px = 4.8;  ///< a pixel's uncertainty is that of one at least so far from the focus of expansion:
                                  ///< a network sees a thing's motion, not a pixel's
   double max_distance_m = 9.0;   ///< further is free
   double min_move_m = 0.12;      ///< between the frames: less shows nothing
