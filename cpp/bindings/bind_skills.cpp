@@ -117,10 +117,6 @@ void bind_horizon(py::module_& m) {
   AJNA_FIELD(fan_rad);
   AJNA_FIELD(directions);
   AJNA_FIELD(horizon_m);
-  AJNA_FIELD(remember_m);
-  AJNA_FIELD(remember_s);
-  AJNA_FIELD(remember_move_m);
-  AJNA_FIELD(stay_m);
   AJNA_FIELD(support);
   AJNA_FIELD(room_weight);
   AJNA_FIELD(goal_weight);
@@ -130,13 +126,30 @@ void bind_horizon(py::module_& m) {
   AJNA_FIELD(brake_m_s2);
   AJNA_FIELD(stop_m);
 #undef AJNA_FIELD
+  using tasks::OccupancyOptions;
+  py::class_<OccupancyOptions> occupancy(m, "OccupancyOptions", "How readings of distance become a map of things.");
+  occupancy.def(py::init<>());
+#define AJNA_FIELD(name) occupancy.def_readwrite(#name, &OccupancyOptions::name)
+  AJNA_FIELD(cell_m);
+  AJNA_FIELD(seen);
+  AJNA_FIELD(passed);
+  AJNA_FIELD(sure_m);
+  AJNA_FIELD(clear_share);
+  AJNA_FIELD(thickness);
+  AJNA_FIELD(bound);
+  AJNA_FIELD(blocked);
+  AJNA_FIELD(forget_m);
+  AJNA_FIELD(forget_s);
+  AJNA_FIELD(max_range_m);
+#undef AJNA_FIELD
   m.def(
       "horizon_obstacles",
       [](const py::array& map, const Matrix3d& rotation, double fov, const Vector3d& move,
          const HorizonOptions& chosen) {
         py::array keep;
-        const auto found = tasks::horizon_obstacles(float_mat(map, keep), {}, rotation, fov, move, chosen)
-                               .value_or(tasks::Obstacles{});
+        const auto found = tasks::horizon_scan(float_mat(map, keep), {}, rotation, fov, move, chosen)
+                               .value_or(tasks::HorizonScan{})
+                               .things;
         py::array_t<double> points({static_cast<py::ssize_t>(found.size()), py::ssize_t{2}});
         for (std::size_t i = 0; i < found.size(); ++i) {
           points.mutable_at(static_cast<py::ssize_t>(i), 0) = found[i].x();
@@ -161,6 +174,7 @@ void bind_options(py::module_& m) {
   AJNA_FIELD(dodge);
   AJNA_FIELD(dodge_policy);
   AJNA_FIELD(horizon);
+  AJNA_FIELD(occupancy);
   AJNA_FIELD(corridor);
   AJNA_FIELD(navigate);
   AJNA_FIELD(navigate_policy);

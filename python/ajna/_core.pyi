@@ -180,10 +180,6 @@ class CorridorOptions:
     fan_rad: float
     directions: int
     horizon_m: float
-    remember_m: float
-    remember_s: float
-    remember_move_m: float
-    stay_m: float
     support: int
     room_weight: float
     goal_weight: float
@@ -192,6 +188,20 @@ class CorridorOptions:
     need_weight: float
     brake_m_s2: float
     stop_m: float
+    def __init__(self) -> None: ...
+
+class OccupancyOptions:
+    cell_m: float
+    seen: float
+    passed: float
+    sure_m: float
+    clear_share: float
+    thickness: float
+    bound: float
+    blocked: float
+    forget_m: float
+    forget_s: float
+    max_range_m: float
     def __init__(self) -> None: ...
 
 class BackgroundOptions:
@@ -900,6 +910,7 @@ class SkillOptions:
     dodge_policy: DodgePolicyOptions
     horizon: HorizonOptions
     corridor: CorridorOptions
+    occupancy: OccupancyOptions
     navigate: NavigateOptions
     navigate_policy: NavigatePolicyOptions
     max_turn_rad_s: float

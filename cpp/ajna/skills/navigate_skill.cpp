@@ -34,7 +34,7 @@ class NavigateSkill final : public Skill {
         max_age_s_(std::max(options.max_interval_s, options.baseline_s)),
         memory_(max_age_s_),
         pipeline_(pipeline_options(options)),
-        planner_(options.corridor),
+        planner_(options.corridor, options.occupancy),
         policy_(options.navigate_policy) {
     tasks::validate(options.horizon);
   }
@@ -119,17 +119,13 @@ class NavigateSkill final : public Skill {
       return false;
     }
     output.status = tasks::to_string(tasks::NavigateStatus::kOk);
-    auto found = tasks::horizon_obstacles(map, seen.valid, attitude.heading_from_camera, options_.horizontal_fov_rad,
+    const auto scan = tasks::horizon_scan(map, seen.valid, attitude.heading_from_camera, options_.horizontal_fov_rad,
                                           interval_s * *input.velocity_m_s, options_.horizon);
-    if (!found) {
-      if (input.velocity_m_s->norm() * interval_s >= options_.horizon.min_move_m) {
-        return false;
-      }
-      found.emplace();  // at rest there is nothing to be seen: what is remembered counts
+    if (!scan && input.velocity_m_s->norm() * interval_s >= options_.horizon.min_move_m) {
+      return false;
     }
-    const tasks::Obstacles& obstacles = *found;
-    const auto corridor =
-        planner_.plan(obstacles, time_s, position_m_, attitude.yaw_rad, std::atan2(goal.y(), goal.x()));
+    // At rest there is nothing to be seen: what the map holds counts.
+    const auto corridor = planner_.plan(scan, time_s, position_m_, attitude.yaw_rad, std::atan2(goal.y(), goal.x()));
     const Eigen::Vector3d free =
         levelled({std::cos(corridor.angle_rad), std::sin(corridor.angle_rad), 0.0}, input.too_high_m);
     const control::Guidance guidance{goal, free, weight_of(corridor), corridor.speed_m_s};
@@ -143,7 +139,7 @@ class NavigateSkill final : public Skill {
     // What is near, as upright lines of a third of a metre, for pictures.
     constexpr double kHalfHeight_m = 0.15;
     output.mask = cv::Mat::zeros(map.size(), CV_8U);
-    for (const auto& thing : obstacles) {
+    for (const auto& thing : scan ? scan->things : tasks::Obstacles{}) {
       const auto low = pixel({thing.x(), thing.y(), kHalfHeight_m});
       const auto high = pixel({thing.x(), thing.y(), -kHalfHeight_m});
       if (low && high) {

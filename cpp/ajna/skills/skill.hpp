@@ -12,6 +12,7 @@
 #include "ajna/control/command.hpp"
 #include "ajna/control/policies.hpp"
 #include "ajna/skills/signal.hpp"
+#include "ajna/tasks/corridor.hpp"
 #include "ajna/tasks/dodge.hpp"
 #include "ajna/tasks/gap.hpp"
 #include "ajna/tasks/horizon.hpp"
@@ -36,9 +37,10 @@ struct SkillOptions {
   double dodge_pair_s = 0.167;  ///< between the frames of a pair, as near as the camera's rate allows; 0: neighbours
   control::DodgePolicyOptions dodge_policy;
 
-  tasks::HorizonOptions horizon;    ///< navigate, where attitude and velocity are known ...
-  tasks::CorridorOptions corridor;  ///< ... and
-  tasks::NavigateOptions navigate;  ///< where they are not
+  tasks::HorizonOptions horizon;      ///< navigate, where attitude and velocity are known ...
+  tasks::OccupancyOptions occupancy;  ///< ... and
+  tasks::CorridorOptions corridor;    ///< ... and
+  tasks::NavigateOptions navigate;    ///< where they are not
   control::NavigatePolicyOptions navigate_policy;
   double max_turn_rad_s = 2.5;  ///< frames of a faster turn are blurred: the last answer stands for lookahead_s
   double baseline_s = 0.1;      ///< between the frames of a pair: what is near has then moved by some pixels

@@ -40,7 +40,7 @@ class Columns:
 
     Attributes:
         uncertainty: mean over the band about the horizon, units of the map.
-        shift_px: distance of the horizon's pixel from the focus of expansion.
+        shift_px: mean distance of the band's pixels from the focus of expansion.
         closing: the camera's motion between the frames over the depth there, b / Z.
         distance_m: true distance on the ground plan; infinite where nothing stands.
         per_depth: distance over depth of that pixel's ray.
@@ -124,27 +124,23 @@ def columns_of(
     open_law = tasks.HorizonOptions()
     open_law.band, open_law.column_step, open_law.min_move_m = options.band, options.column_step, options.min_move_m
     open_law.floor, open_law.per_px, open_law.least_shift_px, open_law.max_distance_m = 0.0, 1e-3, 1.0, 1000.0
-    camera = tasks.Camera.from_horizontal_fov(map_.shape[1], map_.shape[0], fov_rad)
-    # Above zero everywhere, or a column would be let out and the two lists would not match.
     inverse = np.where(np.isfinite(depth), 1.0 / np.maximum(depth, 1e-3), 0.0)
     move = float(np.linalg.norm(move_m))
-    columns = []
-    for read in (map_ + 1.0, inverse + 1.0):
-        points = tasks.horizon_obstacles(
-            read.astype(np.float32), heading_from_camera, fov_rad, move_m, open_law
-        )  # [N, 2], heading frame, on the horizon: no vertical part
+    # Above zero everywhere, or a column would be let out and the lists would not match. The first, equal in all
+    # columns, gives their distance from the focus of expansion.
+    depths = []
+    for read in (np.ones_like(inverse), map_ + 1.0, inverse + 1.0):
+        points = tasks.horizon_obstacles(read.astype(np.float32), heading_from_camera, fov_rad, move_m, open_law)
         if len(points) == 0:
             return None
-        in_camera = np.concatenate([points, np.zeros((len(points), 1))], axis=1) @ heading_from_camera
-        pixels = np.asarray([camera.project(point) for point in in_camera], dtype=np.float64)
-        focus = np.asarray(camera.project(heading_from_camera.T @ move_m))
-        shift = np.linalg.norm(pixels - focus, axis=1)
-        value = open_law.per_px * (shift + open_law.least_shift_px) * move / in_camera[:, 2] - 1.0
-        columns.append((value, shift, np.linalg.norm(points, axis=1) / in_camera[:, 2]))
-    (uncertainty, shift, per_depth), (mean_inverse, _, _) = columns
+        # Points lie on the horizon, without a vertical part in the heading frame.
+        depths.append(points @ heading_from_camera[:2, 2])
+    per_depth = np.linalg.norm(points, axis=1) / depths[-1]
+    uncertainty, mean_inverse = depths[0] / depths[1] - 1.0, depths[0] / depths[2] - 1.0
     mean_inverse = np.where(mean_inverse > 1e-4, mean_inverse, 0.0)
     with np.errstate(divide="ignore"):
         distance = np.where(mean_inverse > 0, per_depth / mean_inverse, np.inf)
+    shift = depths[0] / (open_law.per_px * move) - open_law.least_shift_px
     return Columns(uncertainty, shift, move * mean_inverse, distance, per_depth, np.full(len(shift), move))
 
 

@@ -1,0 +1,61 @@
+// SPDX-License-Identifier: MIT
+#pragma once
+
+#include <Eigen/Core>
+#include <optional>
+
+#include "ajna/tasks/horizon.hpp"
+#include "ajna/tasks/occupancy.hpp"
+
+namespace ajna::tasks {
+
+struct CorridorOptions {
+  double half_width_m = 0.45;  ///< of the corridor that must be free: vehicle, and room on both sides
+  double room_m = 0.3;         ///< more of it on both sides is better
+  double fan_rad = 0.7;        ///< directions are looked at up to so far to both sides
+  int directions = 81;         ///< in that fan
+  double horizon_m = 9.0;      ///< free further than this is no better
+  int support = 2;             ///< so many cells of the map must stand in a corridor to block it
+  double room_weight = 0.35;   ///< of the wider corridor's length against the narrow one's, both over horizon_m
+  double goal_weight = 0.4;    ///< of the angle to the goal, per radian
+  double keep_weight = 0.3;    ///< of the angle to the last choice, per radian: what is turned back from halfway is hit
+  double need_m = 3.5;         ///< what is free for less ...
+  double need_weight = 1.5;    ///< ... loses by so much times the missing share
+  double brake_m_s2 = 4.0;     ///< the speed is one that can be braked within what is free
+  double stop_m = 0.3;         ///< that much of it is left over
+};
+/// Throws Error(kInvalidArgument) that names the first option out of range.
+void validate(const CorridorOptions& options);
+
+struct Corridor {
+  double angle_rad = 0.0;    ///< the chosen direction, to the right of the heading
+  double free_m = 0.0;       ///< how far it is free
+  double goal_free_m = 0.0;  ///< how far the goal's direction is
+  double close_m = 0.0;      ///< the nearest thing in the fan
+  double speed_m_s = 0.0;    ///< that can still be braked
+};
+
+/// The direction that is free for long, with room to spare, and near to the goal's, on a map of what all frames have
+/// shown.
+class CorridorPlanner {
+ public:
+  explicit CorridorPlanner(const CorridorOptions& options = {}, const OccupancyOptions& map = {});
+  /// scan: of this frame; nothing where it shows nothing. position_m, yaw_rad: of the vehicle against fixed axes
+  /// (north, east), yaw to the right. goal_rad: to the right of the heading.
+  Corridor plan(const std::optional<HorizonScan>& scan, double time_s, const Eigen::Vector2d& position_m,
+                double yaw_rad, double goal_rad);
+  void reset() noexcept;
+  [[nodiscard]] const CorridorOptions& options() const noexcept { return options_; }
+  /// What stood where when last planned, heading frame.
+  [[nodiscard]] const Obstacles& things() const noexcept { return things_; }
+
+ private:
+  [[nodiscard]] double free_length(double angle_rad, double half_width_m) const;
+
+  CorridorOptions options_;
+  OccupancyMap map_;
+  Obstacles things_;
+  std::optional<double> last_rad_;  ///< fixed axes
+};
+
+}  // namespace ajna::tasks

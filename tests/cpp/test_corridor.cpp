@@ -1,0 +1,165 @@
+// SPDX-License-Identifier: MIT
+// The map of what many frames have shown, and the choice of a corridor on it.
+#include <gtest/gtest.h>
+
+#include <Eigen/Core>
+#include <cmath>
+#include <optional>
+
+#include "ajna/base/error.hpp"
+#include "ajna/tasks/corridor.hpp"
+
+namespace ajna::tasks {
+namespace {
+
+using Eigen::Vector2d;
+
+/// What 140 columns of 80 degrees show of a trunk that stands across the way; nothing else is there.
+HorizonScan trunk(double forward_m, double right_m, double width_m = 0.6) {
+  constexpr int kColumns = 140;
+  constexpr double kHalf = 0.7;
+  HorizonScan scan;
+  for (int i = 0; i < kColumns; ++i) {
+    const double angle = kHalf * (2.0 * i / (kColumns - 1) - 1.0);
+    const Vector2d ray(std::cos(angle), std::sin(angle));
+    const double reach = forward_m / ray.x();
+    if (forward_m > 0.0 && std::abs(reach * ray.y() - right_m) <= width_m / 2.0) {
+      scan.things.emplace_back(reach * ray);
+    } else {
+      scan.free.emplace_back(HorizonOptions{}.max_distance_m * ray);
+    }
+  }
+  return scan;
+}
+
+HorizonScan nothing() { return trunk(-1.0, 0.0); }
+
+/// Several frames from one place.
+Corridor seen(CorridorPlanner& planner, const HorizonScan& scan, double goal_rad = 0.0, int frames = 5) {
+  Corridor corridor;
+  for (int i = 0; i < frames; ++i) {
+    corridor = planner.plan(scan, i / 30.0, {0, 0}, 0.0, goal_rad);
+  }
+  return corridor;
+}
+
+TEST(Occupancy, AThingIsWhereItIsSeenWhateverTheHeading) {
+  for (const double yaw : {0.0, 1.0, -2.5}) {
+    for (const Vector2d& at : {Vector2d(0, 0), Vector2d(-31.3, 57.9)}) {
+      OccupancyMap map;
+      map.add(trunk(3.0, 0.5), 0.0, at, yaw);
+      const Vector2d forward(std::cos(yaw), std::sin(yaw));
+      const Vector2d right(-forward.y(), forward.x());
+      EXPECT_GT(map.evidence(at + 3.1 * forward + 0.5 * right), 0.5);
+      EXPECT_LT(map.evidence(at + 1.0 * forward), 0.0) << "rays passed there";
+      EXPECT_EQ(map.evidence(at + 5.0 * forward + 0.8 * right), 0.0) << "behind it nothing is known";
+      EXPECT_EQ(map.evidence(at - 2.0 * forward), 0.0);
+      const Obstacles things = map.things(at, yaw);
+      ASSERT_FALSE(things.empty());
+      for (const auto& thing : things) {
+        EXPECT_NEAR(thing.x(), 3.25, 0.5);
+        EXPECT_NEAR(thing.y(), 0.5, 0.5);
+      }
+    }
+  }
+}
+
+TEST(Occupancy, OneFrameThatErrsIsOutvoted) {
+  OccupancyMap map;
+  for (int i = 0; i < 10; ++i) {
+    map.add(i == 5 ? trunk(2.0, 0.0) : nothing(), i / 30.0, {0, 0}, 0.0);
+  }
+  EXPECT_TRUE(map.things({0, 0}, 0.0).empty());
+  for (int i = 10; i < 20; ++i) {
+    map.add(i == 15 ? nothing() : trunk(2.0, 0.0), i / 30.0, {0, 0}, 0.0);
+  }
+  EXPECT_FALSE(map.things({0, 0}, 0.0).empty());
+  map.reset();
+  EXPECT_TRUE(map.things({0, 0}, 0.0).empty());
+}
+
+TEST(Occupancy, FarReadingsCountLess) {
+  OccupancyMap map;
+  map.add(trunk(3.0, 0.0), 0.0, {0, 0}, 0.0);
+  const double near = map.evidence({3.1, 0.0});
+  map.reset();
+  map.add(trunk(8.0, 0.0), 0.0, {0, 0}, 0.0);
+  EXPECT_NEAR(map.evidence({8.1, 0.0}), near * OccupancyOptions{}.sure_m / 8.0, 0.05);
+}
+
+TEST(Occupancy, ForgetsAsItMovesAndAsTimePasses) {
+  const OccupancyOptions options;
+  OccupancyMap map;
+  map.add(trunk(3.0, 0.0), 0.0, {0, 0}, 0.0);
+  const double before = map.evidence({3.1, 0.0});
+  map.add(HorizonScan{}, 1.0, {0.0, 2.0}, 0.0);
+  EXPECT_NEAR(map.evidence({3.1, 0.0}), before * std::exp(-2.0 / options.forget_m - 1.0 / options.forget_s), 1e-6);
+  // So far away that its cells have been used for other places.
+  map.add(nothing(), 2.0, {500.0, 0.0}, 0.0);
+  EXPECT_NEAR(map.evidence({3.1, 0.0}), 0.0, 1e-9);
+}
+
+TEST(Occupancy, OptionsOutOfRangeAreNamed) {
+  OccupancyOptions options;
+  options.cell_m = 0.0;
+  EXPECT_THROW(OccupancyMap{options}, Error);
+  options = {};
+  options.blocked = options.bound + 1.0;
+  EXPECT_THROW(OccupancyMap{options}, Error);
+  CorridorOptions corridor;
+  corridor.support = 0;
+  EXPECT_THROW(CorridorPlanner{corridor}, Error);
+}
+
+TEST(Corridor, StraightToTheGoalWhereNothingStands) {
+  CorridorPlanner planner;
+  const Corridor corridor = planner.plan(nothing(), 0.0, {0, 0}, 0.0, 0.3);
+  EXPECT_NEAR(corridor.angle_rad, 0.3, 0.02);
+  EXPECT_EQ(corridor.free_m, planner.options().horizon_m);
+  EXPECT_EQ(corridor.goal_free_m, planner.options().horizon_m);
+  EXPECT_GT(corridor.speed_m_s, 8.0);
+  CorridorPlanner blind;
+  EXPECT_NEAR(blind.plan(std::nullopt, 0.0, {0, 0}, 0.0, 0.3).angle_rad, 0.3, 0.02) << "nothing is known yet";
+}
+
+TEST(Corridor, PassesATrunkOnItsFreeSide) {
+  for (const double side : {-1.0, 1.0}) {
+    CorridorPlanner planner;
+    const Corridor corridor = seen(planner, trunk(4.0, 0.2 * side));
+    EXPECT_LT(corridor.angle_rad * side, -0.1);
+    // At the trunk the corridor's edge is beyond the trunk's, but for half a cell.
+    EXPECT_LT(4.0 * std::tan(corridor.angle_rad) * side + planner.options().half_width_m, 0.2 - 0.3 + 0.11);
+    EXPECT_NEAR(corridor.goal_free_m, 4.0, 0.2);
+    EXPECT_EQ(corridor.free_m, planner.options().horizon_m);
+    EXPECT_FALSE(planner.things().empty());
+  }
+}
+
+TEST(Corridor, KeepsItsSide) {
+  CorridorPlanner planner;
+  ASSERT_LT(seen(planner, trunk(4.0, 0.1)).angle_rad, 0.0);
+  EXPECT_LT(planner.plan(trunk(3.9, -0.1), 0.2, {0.1, 0}, 0.0, 0.0).angle_rad, 0.0) << "the other side is no better";
+  planner.reset();
+  EXPECT_GT(seen(planner, trunk(3.9, -0.1)).angle_rad, 0.0);
+}
+
+TEST(Corridor, KnowsWhatHasLeftThePicture) {
+  CorridorPlanner planner;
+  seen(planner, trunk(1.5, 0.6));
+  // A metre further, and turned to the left by 0.3: the trunk stands on the way to the goal, out of the picture.
+  const Corridor later = planner.plan(std::nullopt, 0.3, {1.0, 0.0}, -0.3, 1.1);
+  EXPECT_LT(later.goal_free_m, 1.2);
+  planner.plan(nothing(), 0.6, {20.0, 0.0}, 0.0, 0.0);
+  EXPECT_TRUE(planner.things().empty()) << "passed";
+}
+
+TEST(Corridor, SlowsDownBeforeAWall) {
+  CorridorPlanner planner;
+  const Corridor corridor = seen(planner, trunk(1.3, 0.0, 20.0));
+  EXPECT_LT(corridor.free_m, 2.0);
+  const double room = corridor.free_m - planner.options().stop_m;
+  EXPECT_NEAR(corridor.speed_m_s * corridor.speed_m_s, 2.0 * planner.options().brake_m_s2 * room, 1e-9);
+}
+
+}  // namespace
+}  // namespace ajna::tasks
