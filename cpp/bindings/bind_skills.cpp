@@ -139,7 +139,6 @@ void bind_horizon(py::module_& m) {
   AJNA_FIELD(bound);
   AJNA_FIELD(blocked);
   AJNA_FIELD(forget_m);
-  AJNA_FIELD(forget_s);
   AJNA_FIELD(max_range_m);
 #undef AJNA_FIELD
   m.def(

@@ -200,7 +200,6 @@ class OccupancyOptions:
     bound: float
     blocked: float
     forget_m: float
-    forget_s: float
     max_range_m: float
     def __init__(self) -> None: ...
 

@@ -125,7 +125,7 @@ class NavigateSkill final : public Skill {
       return false;
     }
     // At rest there is nothing to be seen: what the map holds counts.
-    const auto corridor = planner_.plan(scan, time_s, position_m_, attitude.yaw_rad, std::atan2(goal.y(), goal.x()));
+    const auto corridor = planner_.plan(scan, position_m_, attitude.yaw_rad, std::atan2(goal.y(), goal.x()));
     const Eigen::Vector3d free =
         levelled({std::cos(corridor.angle_rad), std::sin(corridor.angle_rad), 0.0}, input.too_high_m);
     const control::Guidance guidance{goal, free, weight_of(corridor), corridor.speed_m_s};

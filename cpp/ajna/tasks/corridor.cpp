@@ -56,10 +56,10 @@ double CorridorPlanner::free_length(double angle_rad, double half_width_m) const
   return *nth;
 }
 
-Corridor CorridorPlanner::plan(const std::optional<HorizonScan>& scan, double time_s, const Eigen::Vector2d& position_m,
+Corridor CorridorPlanner::plan(const std::optional<HorizonScan>& scan, const Eigen::Vector2d& position_m,
                                double yaw_rad, double goal_rad) {
   if (scan) {
-    map_.add(*scan, time_s, position_m, yaw_rad);
+    map_.add(*scan, position_m, yaw_rad);
   }
   things_ = map_.things(position_m, yaw_rad);
   Corridor best;

@@ -42,8 +42,8 @@ class CorridorPlanner {
   explicit CorridorPlanner(const CorridorOptions& options = {}, const OccupancyOptions& map = {});
   /// scan: of this frame; nothing where it shows nothing. position_m, yaw_rad: of the vehicle against fixed axes
   /// (north, east), yaw to the right. goal_rad: to the right of the heading.
-  Corridor plan(const std::optional<HorizonScan>& scan, double time_s, const Eigen::Vector2d& position_m,
-                double yaw_rad, double goal_rad);
+  Corridor plan(const std::optional<HorizonScan>& scan, const Eigen::Vector2d& position_m, double yaw_rad,
+                double goal_rad);
   void reset() noexcept;
   [[nodiscard]] const CorridorOptions& options() const noexcept { return options_; }
   /// What stood where when last planned, heading frame.

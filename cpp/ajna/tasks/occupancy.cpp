@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "ajna/base/range.hpp"
 
@@ -24,7 +23,6 @@ void validate(const OccupancyOptions& options) {
   require_between("navigate options: occupancy.bound", options.bound, 0.1, 100.0);
   require_between("navigate options: occupancy.blocked", options.blocked, 0.0, options.bound);
   require_between("navigate options: occupancy.forget_m", options.forget_m, 0.1, 1000.0);
-  require_between("navigate options: occupancy.forget_s", options.forget_s, 0.1, 1000.0);
   require_between("navigate options: occupancy.max_range_m", options.max_range_m, 1.0, 30.0);
 }
 
@@ -58,22 +56,22 @@ double OccupancyMap::evidence(const Eigen::Vector2d& point_m) const {
   return found.north == north && found.east == east ? static_cast<double>(found.evidence) : 0.0;
 }
 
-void OccupancyMap::forget(double time_s, const Eigen::Vector2d& position_m) {
-  if (any_) {
-    const double share =
-        (position_m - last_m_).norm() / options_.forget_m + std::max(time_s - last_s_, 0.0) / options_.forget_s;
-    const auto kept = static_cast<float>(std::exp(-share));
-    for (Cell& one : cells_) {
-      one.evidence *= kept;
-    }
+void OccupancyMap::forget(const Eigen::Vector2d& position_m) {
+  // In steps of a cell: the jitter of a hovering vehicle's position, added up, must not make it forget.
+  const double moved_m = any_ ? (position_m - last_m_).norm() : 0.0;
+  if (any_ && moved_m < options_.cell_m) {
+    return;
+  }
+  const auto kept = static_cast<float>(std::exp(-moved_m / options_.forget_m));
+  for (Cell& one : cells_) {
+    one.evidence *= kept;
   }
   any_ = true;
-  last_s_ = time_s;
   last_m_ = position_m;
 }
 
-void OccupancyMap::add(const HorizonScan& scan, double time_s, const Eigen::Vector2d& position_m, double yaw_rad) {
-  forget(time_s, position_m);
+void OccupancyMap::add(const HorizonScan& scan, const Eigen::Vector2d& position_m, double yaw_rad) {
+  forget(position_m);
   const Eigen::Vector2d forward(std::cos(yaw_rad), std::sin(yaw_rad));
   const Eigen::Vector2d right(-forward.y(), forward.x());
   touched_.clear();

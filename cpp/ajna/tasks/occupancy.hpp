@@ -19,8 +19,7 @@ struct OccupancyOptions {
   double thickness = 0.15;   ///< a thing is marked so far beyond its distance, as a share of it
   double bound = 3.0;        ///< of the evidence, both ways
   double blocked = 0.8;      ///< a cell with more evidence counts as a thing
-  double forget_m = 5.0;     ///< evidence falls to 1/e while the vehicle moves so far ...
-  double forget_s = 5.0;     ///< ... or so much time passes
+  double forget_m = 5.0;  ///< evidence falls to 1/e while the vehicle moves so far; at rest none: nothing new is seen
   double max_range_m = 9.0;  ///< cells further away are not kept
 };
 /// Throws Error(kInvalidArgument) that names the first option out of range.
@@ -32,7 +31,7 @@ class OccupancyMap {
  public:
   explicit OccupancyMap(const OccupancyOptions& options = {});
   /// Add a frame's scan. position_m: north, east; yaw_rad: of the heading frame, to the right.
-  void add(const HorizonScan& scan, double time_s, const Eigen::Vector2d& position_m, double yaw_rad);
+  void add(const HorizonScan& scan, const Eigen::Vector2d& position_m, double yaw_rad);
   /// Centres of the cells that count as things, in the heading frame (forward, right).
   [[nodiscard]] Obstacles things(const Eigen::Vector2d& position_m, double yaw_rad) const;
   /// Evidence at a point (north, east); 0 where nothing is known.
@@ -50,14 +49,13 @@ class OccupancyMap {
   };
   [[nodiscard]] int index_of(double metres) const;
   Cell& cell(int north, int east);
-  void forget(double time_s, const Eigen::Vector2d& position_m);
+  void forget(const Eigen::Vector2d& position_m);
 
   OccupancyOptions options_;
   int side_;  ///< cells; indices wrap round, and a cell knows where it is
   std::vector<Cell> cells_;
   std::vector<std::size_t> touched_;
   bool any_ = false;
-  double last_s_ = 0.0;
   Eigen::Vector2d last_m_ = Eigen::Vector2d::Zero();
 };
 
