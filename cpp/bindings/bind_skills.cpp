@@ -125,6 +125,9 @@ void bind_horizon(py::module_& m) {
   AJNA_FIELD(need_weight);
   AJNA_FIELD(brake_m_s2);
   AJNA_FIELD(stop_m);
+  AJNA_FIELD(lag_s);
+  AJNA_FIELD(turn_per_s);
+  AJNA_FIELD(turn_m_s2);
 #undef AJNA_FIELD
   using tasks::OccupancyOptions;
   py::class_<OccupancyOptions> occupancy(m, "OccupancyOptions", "How readings of distance become a map of things.");

@@ -251,7 +251,8 @@ void bind_gap_parts(py::module_& m) {
       .def_readwrite("certain", &GapDetectionOptions::certain)
       .def_readwrite("ring", &GapDetectionOptions::ring)
       .def_readwrite("min_solidity", &GapDetectionOptions::min_solidity)
-      .def_readwrite("min_thickness", &GapDetectionOptions::min_thickness);
+      .def_readwrite("min_thickness", &GapDetectionOptions::min_thickness)
+      .def_readwrite("retries", &GapDetectionOptions::retries);
   py::class_<GapTrackerOptions> tracker(m, "GapTrackerOptions", "Of the contour's tracker.");
   tracker.def(py::init<>());
 #define AJNA_FIELD(name) tracker.def_readwrite(#name, &GapTrackerOptions::name)

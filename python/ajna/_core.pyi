@@ -188,6 +188,9 @@ class CorridorOptions:
     need_weight: float
     brake_m_s2: float
     stop_m: float
+    lag_s: float
+    turn_per_s: float
+    turn_m_s2: float
     def __init__(self) -> None: ...
 
 class OccupancyOptions:
@@ -418,6 +421,7 @@ class GapDetectionOptions:
     min_contrast: float
     min_solidity: float
     min_thickness: float
+    retries: int
     ring: float
     def __init__(self) -> None: ...
 
@@ -664,7 +668,10 @@ class NavigatePolicy:
 class NavigatePolicyOptions:
     direction: PidOptions
     lookahead_s: float
+    weave_m_s: float
+    weave_hz: float
     max_acceleration_m_s2: float
+    max_forward_m_s2: float
     max_jerk_m_s3: float
     slow_down: float
     speed_m_s: float

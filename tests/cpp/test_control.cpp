@@ -158,12 +158,59 @@ TEST(Navigate, TurnsAndPushesTowardsTheDesiredDirection) {
 }
 
 TEST(Navigate, MeasuredVelocityClosesTheLoop) {
-  NavigatePolicy policy;
-  const double speed = NavigatePolicyOptions{}.speed_m_s;
+  NavigatePolicyOptions options;
+  options.weave_m_s = 0.0;
+  NavigatePolicy policy(options);
+  const double speed = options.speed_m_s;
   const Command steady = policy.update(Guidance{}, 0.0, Vector3d(speed, 0, 0));
   EXPECT_LT(steady.acceleration_m_s2.norm(), 1e-12);
   policy.reset();
   EXPECT_GT(policy.update(Guidance{}, 0.0, Vector3d::Zero()).acceleration_m_s2.x(), 0.0);
+}
+
+TEST(Navigate, LeansForwardNoFurtherThanItSees) {
+  const NavigatePolicyOptions options;
+  NavigatePolicy policy;
+  Guidance guidance;
+  double most = 0.0;
+  for (double t = 0.0; t < 1.0; t += 0.033) {
+    most = std::max(most, policy.update(guidance, t, Vector3d::Zero()).acceleration_m_s2.x());
+  }
+  EXPECT_NEAR(most, options.max_forward_m_s2, 1e-9);
+  // Braking is limited by the whole acceleration only.
+  guidance.speed_m_s = 0.0;
+  double least = 0.0;
+  for (double t = 1.0; t < 2.0; t += 0.033) {
+    least = std::min(least, policy.update(guidance, t, Vector3d(options.speed_m_s, 0, 0)).acceleration_m_s2.x());
+  }
+  EXPECT_LT(least, -options.max_forward_m_s2 - 1.0);
+}
+
+/// The largest sideways speed of a point that follows the policy for some seconds, first in a straight line.
+double swing(const NavigatePolicyOptions& options, const Guidance& guidance, bool measured) {
+  NavigatePolicy policy(options);
+  Vector3d velocity = Vector3d::Zero();
+  double most = 0.0;
+  constexpr double kStep = 0.02;
+  for (int i = 0; i < 500; ++i) {
+    const auto seen = measured ? std::optional(velocity) : std::nullopt;
+    velocity += kStep * policy.update(guidance, i * kStep, seen).acceleration_m_s2;
+    most = i > 250 ? std::max(most, std::abs(velocity.y())) : most;
+  }
+  return most;
+}
+
+TEST(Navigate, WeavesWhileItFliesAndNotWhileItStands) {
+  NavigatePolicyOptions options;
+  Guidance guidance;
+  EXPECT_GT(swing(options, guidance, true), 0.5 * options.weave_m_s);
+  EXPECT_LT(swing(options, guidance, true), 1.5 * options.weave_m_s);
+  EXPECT_LT(swing(options, guidance, false), 1e-9) << "without a measured velocity it could drift";
+  guidance.speed_m_s = 0.0;
+  EXPECT_LT(swing(options, guidance, true), 1e-9);
+  guidance.speed_m_s.reset();
+  options.weave_m_s = 0.0;
+  EXPECT_LT(swing(options, guidance, true), 1e-9);
 }
 
 TEST(Navigate, HoldsWithoutAnswers) {
@@ -224,6 +271,12 @@ TEST(Policies, RefuseImpossibleOptions) {
   EXPECT_THROW(DodgePolicy{dodge}, Error);
   NavigatePolicyOptions navigate;
   navigate.slow_down = 1.0;
+  EXPECT_THROW(NavigatePolicy{navigate}, Error);
+  navigate = {};
+  navigate.max_forward_m_s2 = 0.0;
+  EXPECT_THROW(NavigatePolicy{navigate}, Error);
+  navigate = {};
+  navigate.weave_m_s = -0.1;
   EXPECT_THROW(NavigatePolicy{navigate}, Error);
   GapPolicyOptions gap;
   gap.realign = 0.01;

@@ -122,7 +122,7 @@ TEST(Corridor, StraightToTheGoalWhereNothingStands) {
   EXPECT_NEAR(corridor.angle_rad, 0.3, 0.02);
   EXPECT_EQ(corridor.free_m, planner.options().horizon_m);
   EXPECT_EQ(corridor.goal_free_m, planner.options().horizon_m);
-  EXPECT_GT(corridor.speed_m_s, 8.0);
+  EXPECT_GT(corridor.speed_m_s, 7.0);
   CorridorPlanner blind;
   EXPECT_NEAR(blind.plan(std::nullopt, {0, 0}, 0.0, 0.3).angle_rad, 0.3, 0.02) << "nothing is known yet";
 }
@@ -134,7 +134,8 @@ TEST(Corridor, PassesATrunkOnItsFreeSide) {
     EXPECT_LT(corridor.angle_rad * side, -0.1);
     // At the trunk the corridor's edge is beyond the trunk's, but for half a cell.
     EXPECT_LT(4.0 * std::tan(corridor.angle_rad) * side + planner.options().half_width_m, 0.2 - 0.3 + 0.11);
-    EXPECT_NEAR(corridor.goal_free_m, 4.0, 0.2);
+    EXPECT_LT(corridor.goal_free_m, 4.0);  // as wide as it is, the vehicle touches before its centre is there
+    EXPECT_GT(corridor.goal_free_m, 4.0 - planner.options().half_width_m - 0.1);
     EXPECT_EQ(corridor.free_m, planner.options().horizon_m);
     EXPECT_FALSE(planner.things().empty());
   }
@@ -156,6 +157,43 @@ TEST(Corridor, KnowsWhatHasLeftThePicture) {
   EXPECT_LT(later.goal_free_m, 1.2);
   planner.plan(nothing(), {20.0, 0.0}, 0.0, 0.0);
   EXPECT_TRUE(planner.things().empty()) << "passed";
+}
+
+TEST(Corridor, AWayThatCannotBeFlownAtThisSpeedIsNotFree) {
+  // A trunk a metre and a half ahead, a little to the right. At rest one turns to the left of it and is through; at
+  // 5 m/s the vehicle would be in it before it has turned.
+  CorridorPlanner planner;
+  const HorizonScan scan = trunk(1.5, 0.2);
+  const Corridor slow = seen(planner, scan);
+  EXPECT_LT(slow.angle_rad, 0.0);
+  EXPECT_EQ(slow.free_m, planner.options().horizon_m);
+  planner.reset();
+  Corridor fast;
+  for (int i = 0; i < 5; ++i) {
+    fast = planner.plan(scan, {0, 0}, 0.0, 0.0, {5.0, 0.0});
+  }
+  EXPECT_LT(fast.free_m, 2.0);
+  EXPECT_LT(fast.speed_m_s, slow.speed_m_s);
+  // From further away the way round it is free at that speed, too.
+  planner.reset();
+  for (int i = 0; i < 5; ++i) {
+    fast = planner.plan(trunk(5.0, 0.2), {0, 0}, 0.0, 0.0, {5.0, 0.0});
+  }
+  EXPECT_LT(fast.angle_rad, 0.0);
+  EXPECT_EQ(fast.free_m, planner.options().horizon_m);
+}
+
+TEST(Corridor, GoesOnFromBesideAThing) {
+  // 0.3 m to the left stands something, nearer than half the corridor's width: that must not hold it for ever.
+  CorridorPlanner planner;
+  HorizonScan scan = nothing();
+  for (int i = 0; i < 20; ++i) {
+    scan.things.emplace_back(0.02 * i, -0.3);
+  }
+  const Corridor corridor = seen(planner, scan, 0.0, 10);
+  ASSERT_FALSE(planner.things().empty());
+  EXPECT_GT(corridor.free_m, 3.0);
+  EXPECT_GE(corridor.angle_rad, 0.0) << "and not nearer to it";
 }
 
 TEST(Corridor, SlowsDownBeforeAWall) {

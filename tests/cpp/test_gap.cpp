@@ -94,6 +94,20 @@ TEST(DetectGap, ACertainRegionInAnUncertainWall) {
   EXPECT_GT(iou(gap.mask, disc(kCenter, kRadius)), 0.75);
 }
 
+TEST(DetectGap, AGapThatTheClosingJoinsWithTheBorder) {
+  cv::Mat map = with_disc(calm_map(), kCenter, kRadius, 0.9);
+  const int beside = cvRound(kCenter.x - kRadius) - 28;
+  map(cv::Rect(0, 0, beside, kHeight)) = 0.9;
+  GapDetectionOptions options;
+  options.retries = 0;
+  EXPECT_FALSE(detect_gap(map, options).found);
+  const GapDetection gap = detect_gap(map);
+  ASSERT_TRUE(gap.found);
+  EXPECT_GT(iou(gap.mask, disc(kCenter, kRadius)), 0.75);
+  options.retries = 9;
+  EXPECT_THROW(detect_gap(map, options), Error);
+}
+
 TEST(DetectGap, WhatIsNoGap) {
   EXPECT_FALSE(detect_gap(calm_map()).found);
   EXPECT_FALSE(detect_gap(cv::Mat::zeros(kHeight, kWidth, CV_32F)).found);

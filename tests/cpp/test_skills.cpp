@@ -135,11 +135,15 @@ TEST_F(SkillTest, AFailedSignalIsToldAndTheFrameKept) {
 
 TEST_F(SkillTest, NavigatePairsSpanTheBaselineWithoutTurning) {
   const auto skill = make(Task::kNavigate);
-  for (int i = 0; i < 6; ++i) {
+  const double baseline_s = SkillOptions{}.baseline_s;
+  for (int i = 0; i < 12; ++i) {
     skill->plan(at(i / 30.0));
   }
-  ASSERT_EQ(asked.size(), 5U);
-  EXPECT_NEAR(asked.back().first_s - asked.back().second_s, 0.1, 1e-9);
+  ASSERT_EQ(asked.size(), 11U);
+  EXPECT_NEAR(asked.back().first_s - asked.back().second_s, baseline_s, 1e-9);
+  // A late frame: the pair is longer, not missing.
+  skill->plan(at(11 / 30.0 + baseline_s + 0.02));
+  EXPECT_NEAR(asked.back().first_s - asked.back().second_s, baseline_s + 0.02, 1e-9);
   EXPECT_EQ(asked.back().common, CommonMotion::kRotation);
 }
 

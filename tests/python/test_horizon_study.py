@@ -46,6 +46,12 @@ def test_the_law_is_found_again() -> None:
     assert (noisy.floor, noisy.per_px, noisy.least_shift_px) == pytest.approx((0.3, 0.02, 40.0), rel=0.1)
 
 
+def test_least_shift_is_not_negative() -> None:
+    """Where the best law would see less than a pixel's motion, the best with none is taken."""
+    law = fit(columns(Law(0.5, 0.02, -12.0)))
+    assert law.least_shift_px == 0.0 and law.per_px > 0
+
+
 def test_quality_of_a_law() -> None:
     seen = columns(LAW)
     right = quality(seen, LAW)

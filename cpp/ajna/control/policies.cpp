@@ -96,11 +96,12 @@ Eigen::Vector3d desired_direction(const Guidance& guidance) {
 
 NavigatePolicy::NavigatePolicy(const NavigatePolicyOptions& options)
     : options_(options), direction_(options.direction), yaw_(options.yaw) {
-  require(options.speed_m_s > 0.0 && options.max_acceleration_m_s2 > 0.0 && options.max_jerk_m_s3 > 0.0 &&
-              options.lookahead_s >= 0.0,
-          "navigate policy: give a positive speed_m_s, max_acceleration_m_s2 and max_jerk_m_s3 and a lookahead_s of at "
-          "least 0");
+  require(options.speed_m_s > 0.0 && options.max_acceleration_m_s2 > 0.0 && options.max_forward_m_s2 > 0.0 &&
+              options.max_jerk_m_s3 > 0.0 && options.lookahead_s >= 0.0,
+          "navigate policy: give a positive speed_m_s, max_acceleration_m_s2, max_forward_m_s2 and max_jerk_m_s3 and a "
+          "lookahead_s of at least 0");
   require(options.slow_down >= 0.0 && options.slow_down < 1.0, "navigate policy: give slow_down from 0 to below 1");
+  require(options.weave_m_s >= 0.0 && options.weave_hz >= 0.0, "navigate policy: give weave_m_s and weave_hz from 0");
 }
 
 void NavigatePolicy::reset() noexcept {
@@ -108,6 +109,7 @@ void NavigatePolicy::reset() noexcept {
   yaw_.reset();
   answered_s_.reset();
   last_s_.reset();
+  swung_s_ = 0.0;
   last_ = Command::hold();
 }
 
@@ -132,14 +134,22 @@ Command NavigatePolicy::update(const std::optional<Guidance>& guidance, double t
       std::clamp(guidance_.speed_m_s.value_or(options_.speed_m_s * (1.0 - options_.slow_down * guidance_.weight)), 0.0,
                  options_.speed_m_s);
   // Eq. 4 in units of the cruise speed, so that its gain does not depend on the speed that is wanted now.
-  const Eigen::Vector3d wanted = speed / options_.speed_m_s * desired;
+  Eigen::Vector3d wanted = speed / options_.speed_m_s * desired;
+  if (velocity_m_s) {
+    // Less when it slows down, and none where it stops.
+    const double swing = options_.weave_m_s / options_.speed_m_s * std::min(1.0, 2.0 * speed / options_.speed_m_s);
+    wanted.y() += swing * std::cos(2.0 * M_PI * options_.weave_hz * swung_s_);
+    swung_s_ += dt_s;
+  }
   const Eigen::Vector3d current = velocity_m_s && velocity_m_s->allFinite()
                                       ? Eigen::Vector3d(*velocity_m_s / options_.speed_m_s)
                                       : Eigen::Vector3d(speed / options_.speed_m_s, 0.0, 0.0);
   Command command;
   command.mode = CommandMode::kAcceleration;
   command.velocity_m_s = speed * desired;
-  const Eigen::Vector3d asked = limit_norm(direction_.update(wanted - current, dt_s), options_.max_acceleration_m_s2);
+  Eigen::Vector3d asked = direction_.update(wanted - current, dt_s);
+  asked.x() = std::min(asked.x(), options_.max_forward_m_s2);
+  asked = limit_norm(asked, options_.max_acceleration_m_s2);
   command.acceleration_m_s2 =
       last_.acceleration_m_s2 +
       limit_norm(asked - last_.acceleration_m_s2, options_.max_jerk_m_s3 * std::max(dt_s, kFirstStep_s));

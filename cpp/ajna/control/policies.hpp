@@ -48,8 +48,11 @@ struct NavigatePolicyOptions {
   PidOptions direction;                ///< Eq. 5, m/s^2 per unit of direction error
   PidOptions yaw;                      ///< rad/s per rad between heading and desired direction
   double max_acceleration_m_s2 = 8.0;  ///< of the command
+  double max_forward_m_s2 = 3.5;       ///< of it forwards: what is more tilts the camera until it sees but the ground
   double max_jerk_m_s3 = 25.0;         ///< of the command: what is harder turns the camera, and blurs
   double lookahead_s = 1.0;            ///< without an answer for this long the policy holds
+  double weave_m_s = 0.6;  ///< sideways swing of a vehicle with known velocity: what it flies straight at has no motion
+  double weave_hz = 0.7;   ///< to be seen by; less at less than half the cruise speed, none at rest
 
   NavigatePolicyOptions();
 };
@@ -83,6 +86,7 @@ class NavigatePolicy {
   Guidance guidance_;
   std::optional<double> answered_s_;
   std::optional<double> last_s_;
+  double swung_s_ = 0.0;  ///< of the weave, since it began
   Command last_;
 };
 

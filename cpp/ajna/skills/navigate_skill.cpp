@@ -31,7 +31,7 @@ class NavigateSkill final : public Skill {
   NavigateSkill(const SkillOptions& options, Signal signal)
       : options_(options),
         signal_(std::move(signal)),
-        max_age_s_(std::max(options.max_interval_s, options.baseline_s)),
+        max_age_s_(std::max(options.max_interval_s, 1.5 * options.baseline_s)),
         memory_(max_age_s_),
         pipeline_(pipeline_options(options)),
         planner_(options.corridor, options.occupancy),
@@ -125,7 +125,8 @@ class NavigateSkill final : public Skill {
       return false;
     }
     // At rest there is nothing to be seen: what the map holds counts.
-    const auto corridor = planner_.plan(scan, position_m_, attitude.yaw_rad, std::atan2(goal.y(), goal.x()));
+    const auto corridor = planner_.plan(scan, position_m_, attitude.yaw_rad, std::atan2(goal.y(), goal.x()),
+                                        input.velocity_m_s->head<2>());
     const Eigen::Vector3d free =
         levelled({std::cos(corridor.angle_rad), std::sin(corridor.angle_rad), 0.0}, input.too_high_m);
     const control::Guidance guidance{goal, free, weight_of(corridor), corridor.speed_m_s};

@@ -90,6 +90,9 @@ void validate(const GapDetectionOptions& options) {
         "gap detection: give min_contrast of at least 1, a positive ring, and min_solidity and min_thickness from 0 to "
         "1");
   }
+  if (options.retries < 0 || options.retries > 8) {
+    throw_invalid("gap detection: give retries from 0 to 8");
+  }
 }
 
 namespace {
@@ -129,10 +132,7 @@ GapDetection best_region(MapSteps steps, const cv::Mat& scalar, bool certain, co
   return result;
 }
 
-}  // namespace
-
-GapDetection detect_gap(const cv::Mat& map, const GapDetectionOptions& options) {
-  validate(options);
+GapDetection detect_once(const cv::Mat& map, const GapDetectionOptions& options) {
   MapSteps steps = find_regions(map, options.map);
   if (steps.status != MapStatus::kOk) {
     GapDetection nothing;
@@ -156,6 +156,22 @@ GapDetection detect_gap(const cv::Mat& map, const GapDetectionOptions& options) 
     result.safe_px = median_pixel(result.mask);
   }
   return result;
+}
+
+}  // namespace
+
+GapDetection detect_gap(const cv::Mat& map, const GapDetectionOptions& options) {
+  validate(options);
+  GapDetection first = detect_once(map, options);
+  GapDetectionOptions finer = options;
+  for (int i = 0; i < options.retries && !first.found && first.steps.status == MapStatus::kOk; ++i) {
+    finer.map.close_px = finer.map.close_px / 2 | 1;  // odd, as a kernel must be
+    GapDetection again = detect_once(map, finer);
+    if (again.found) {
+      return again;
+    }
+  }
+  return first;
 }
 
 Eigen::Vector2d median_inside(const std::vector<cv::Point2f>& contour, const cv::Size& size) {

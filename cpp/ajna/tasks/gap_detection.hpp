@@ -17,6 +17,7 @@ struct GapDetectionOptions {
   double ring = 0.25;           ///< width of that ring, as a share of the region's diameter
   double min_solidity = 0.55;   ///< region area over hull area: a gap is no scatter of branches
   double min_thickness = 0.25;  ///< inscribed over equal-area diameter: nor a line
+  int retries = 1;  ///< where no gap is found: again with half the closing, which joins less with the border
 
   GapDetectionOptions();
 };

@@ -3,7 +3,9 @@
 
 True depth flies forests; on its frames the network's map is taken as the skill takes it, and beside each column's mean
 uncertainty stands the true distance there. The law is that of :class:`ajna.tasks.HorizonOptions`,
-``Y = floor + per_px (r + least_shift_px) b / Z``, which is linear in three coefficients.
+``Y = floor + per_px (r + least_shift_px) b / Z``, which is linear in three coefficients. It is fitted to pairs a tenth
+of a second apart: further apart near things move so far that uncertainty grows no more, and what is free would set the
+law. How well distances are read is measured on the pairs that the skill takes.
 """
 
 from __future__ import annotations
@@ -30,6 +32,7 @@ Floats = NDArray[np.float64]
 Map = NDArray[np.float32]
 
 EVERY = 5  # frames: neighbours show the same
+FIT_BASELINE_S = 0.1
 NEAR_M, FAR_M = 4.0, 8.0
 DISTANCES_M = (0.0, 2.0, 3.0, 4.0, 6.0, 9.0, np.inf)
 
@@ -87,7 +90,7 @@ class Law:
 
 @dataclass(frozen=True)
 class HorizonStudy:
-    """The columns, the law that they were read by, and the one fitted to them."""
+    """The columns of the skill's own pairs, the law that they were read by, and the one fitted to shorter pairs."""
 
     forests: int
     seed: int
@@ -154,13 +157,15 @@ class _Recorder:
         self._signal, self._options = signal, options
         self._pilot = make_method("depth")
         self.kept: list[Columns] = []
+        self.short: list[Columns] = []
 
     def reset(self, setup: TaskSetup) -> None:
         self._pilot.reset(setup)
         self._source, self._fov_rad = self._signal.source(setup.camera), setup.camera.horizontal_fov_rad
-        self._frames: deque[tuple[Observation, tasks.Snapshot]] = deque(
-            maxlen=1 + round(self._options.baseline_s * setup.camera.rate_hz)
+        self._apart, self._short = (
+            max(1, round(seconds * setup.camera.rate_hz)) for seconds in (self._options.baseline_s, FIT_BASELINE_S)
         )
+        self._frames: deque[tuple[Observation, tasks.Snapshot]] = deque(maxlen=1 + max(self._apart, self._short))
         self._count = 0
 
     def __call__(self, observation: Observation) -> Output:
@@ -174,11 +179,12 @@ class _Recorder:
         )
         self._frames.append((observation, now))
         if self._count % EVERY == 0 and len(self._frames) == self._frames.maxlen:
-            self._keep(observation, now)
+            self._keep(observation, now, self._apart, self.kept)
+            self._keep(observation, now, self._short, self.short)
         return self._pilot(observation)
 
-    def _keep(self, seen: Observation, now: tasks.Snapshot) -> None:
-        earlier, before = self._frames[0]
+    def _keep(self, seen: Observation, now: tasks.Snapshot, apart: int, to: list[Columns]) -> None:
+        earlier, before = self._frames[-1 - apart]
         interval_s = seen.frame.time_s - earlier.frame.time_s
         if _turn(seen, earlier) > self._options.max_turn_rad_s * interval_s:
             return  # blurred: the skill does not look, either
@@ -191,7 +197,7 @@ class _Recorder:
             self._fov_rad,
         )
         if found is not None:
-            self.kept.append(found)
+            to.append(found)
 
 
 def _turn(a: Observation, b: Observation) -> float:
@@ -201,7 +207,7 @@ def _turn(a: Observation, b: Observation) -> float:
 
 
 def fit(columns: Columns, rounds: int = 30) -> Law:
-    """The law by robust least squares (Huber's weights, scale from the median deviation).
+    """The law by robust least squares (Huber's weights, scale from the median deviation), least_shift_px from 0 on.
 
     Raises:
         ValueError: uncertainty that does not grow with what comes near, or too few columns to tell.
@@ -209,20 +215,26 @@ def fit(columns: Columns, rounds: int = 30) -> Law:
     if len(columns) < 100:
         raise ValueError(f"{len(columns)} columns are too few to fit distances to: fly more forests")
     design = np.stack([np.ones(len(columns)), columns.shift_px * columns.closing, columns.closing], axis=1)
-    weight = np.ones(len(columns))
+    floor, per_px, constant = _robust(design, columns.uncertainty, rounds)
+    if constant < 0:  # none below 0: then the best with 0
+        (floor, per_px), constant = _robust(design[:, :2], columns.uncertainty, rounds), 0.0
+    if not (per_px > 0 and floor >= 0):
+        raise ValueError(
+            f"uncertainty does not grow with what comes near (floor {floor:.3g}, {per_px:.3g} per pixel): a map of "
+            "this network cannot be read as distances"
+        )
+    return Law(float(floor), float(per_px), float(constant / per_px))
+
+
+def _robust(design: Floats, values: Floats, rounds: int) -> Floats:
+    weight = np.ones(len(values))
     for _ in range(rounds):
         root = np.sqrt(weight)
-        solution, *_ = np.linalg.lstsq(design * root[:, None], columns.uncertainty * root, rcond=None)
-        miss = np.abs(columns.uncertainty - design @ solution)
+        solution, *_ = np.linalg.lstsq(design * root[:, None], values * root, rcond=None)
+        miss = np.abs(values - design @ solution)
         scale = 1.345 * 1.4826 * max(float(np.median(miss)), 1e-9)
         weight = np.minimum(1.0, scale / np.maximum(miss, 1e-12))
-    floor, per_px, constant = (float(value) for value in solution)
-    if not (per_px > 0 and constant >= 0 and floor >= 0):
-        raise ValueError(
-            f"uncertainty does not grow with what comes near (floor {floor:.3g}, {per_px:.3g} and "
-            f"{constant:.3g} per b / Z): a map of this network cannot be read as distances"
-        )
-    return Law(floor, per_px, constant / per_px)
+    return np.asarray(solution)
 
 
 def quality(columns: Columns, law: Law) -> dict[str, Any]:
@@ -263,17 +275,19 @@ def run(
     options = tasks.SkillOptions()
     signal.adapt(options)
     kept: list[Columns] = []
+    short: list[Columns] = []
     for index in range(forests):
         world = make(seed + index) if make is not None else make_world("forest", seed + index)
         recorder = _Recorder(signal, options)
         run_episode(world, recorder, reference=False)
         kept += recorder.kept
+        short += recorder.short
         if progress is not None:
             progress((index + 1) / forests)
-    if not kept:
+    if not kept or not short:
         raise ValueError("no frame shows the horizon while the vehicle moves: fly more forests")
     columns = Columns.joined(kept)
-    return HorizonStudy(forests, seed, len(kept), columns, Law.of(options.horizon), fit(columns))
+    return HorizonStudy(forests, seed, len(kept), columns, Law.of(options.horizon), fit(Columns.joined(short)))
 
 
 def markdown(study: HorizonStudy) -> str:
