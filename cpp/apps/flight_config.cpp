@@ -170,6 +170,9 @@ void read_task(YamlSection section, FlightConfig& config) {
   YamlSection dodge = section.section("dodge");
   dodge.read("speed_m_s", skill.dodge_policy.speed_m_s);
   dodge.read("hold_s", skill.dodge_policy.hold_s);
+  dodge.read("burst_m_s2", skill.dodge_policy.burst_m_s2);
+  dodge.read("longest_s", skill.dodge_policy.longest_s);
+  dodge.read("settle_s", skill.dodge_policy.settle_s);
   dodge.read("max_down_m_s", skill.dodge_policy.max_down_m_s);
   dodge.read("min_contrast", skill.dodge.min_contrast);
   dodge.read("min_uncertainty", skill.dodge.min_uncertainty);

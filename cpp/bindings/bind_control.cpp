@@ -44,6 +44,9 @@ void bind_dodge_policy(py::module_& m) {
 #define AJNA_FIELD(name) options.def_readwrite(#name, &DodgePolicyOptions::name)
   AJNA_FIELD(speed_m_s);
   AJNA_FIELD(hold_s);
+  AJNA_FIELD(longest_s);
+  AJNA_FIELD(settle_s);
+  AJNA_FIELD(burst_m_s2);
   AJNA_FIELD(max_down_m_s);
   AJNA_FIELD(max_turn_rad);
 #undef AJNA_FIELD

@@ -254,6 +254,9 @@ class DodgePolicy:
 
 class DodgePolicyOptions:
     hold_s: float
+    longest_s: float
+    settle_s: float
+    burst_m_s2: float
     max_down_m_s: float
     max_turn_rad: float
     speed_m_s: float

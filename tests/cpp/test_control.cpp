@@ -103,14 +103,49 @@ TEST(Dodge, GoesTheSafeWayHoldsItAndThenStops) {
   DodgePolicy policy(options);
   EXPECT_EQ(policy.update(std::nullopt, 0.0).mode, CommandMode::kHold);
   const Command left = policy.update(Vector2d(-2.0, 0.0), 0.1);
-  EXPECT_EQ(left.mode, CommandMode::kVelocity);
+  EXPECT_EQ(left.mode, CommandMode::kAcceleration);
   EXPECT_NEAR(left.velocity_m_s.y(), -options.speed_m_s, 1e-12);
+  EXPECT_NEAR(left.acceleration_m_s2.y(), -options.burst_m_s2, 1e-12);
   EXPECT_EQ(left.velocity_m_s.x(), 0.0);
   // Neither a change of mind nor a missed detection turns it round.
   EXPECT_LT(policy.update(Vector2d(1.0, 0.0), 0.2).velocity_m_s.y(), 0.0);
   EXPECT_LT(policy.update(std::nullopt, 0.3).velocity_m_s.y(), 0.0);
   EXPECT_EQ(policy.update(std::nullopt, 0.1 + options.hold_s + 0.01).mode, CommandMode::kHold);
   EXPECT_FALSE(policy.dodging());
+}
+
+TEST(Dodge, BurstsUntilItsSpeedIsDueAndThenFollowsIt) {
+  DodgePolicyOptions options;
+  DodgePolicy policy(options);
+  const double due_s = options.speed_m_s / options.burst_m_s2;
+  const Command sunk = policy.update(Vector2d(0.0, 1.0), 0.0);
+  EXPECT_NEAR(sunk.acceleration_m_s2.z() * due_s, options.max_down_m_s, 1e-12) << "no faster than it may sink";
+  EXPECT_EQ(policy.update(std::nullopt, 0.9 * due_s).mode, CommandMode::kAcceleration);
+  EXPECT_EQ(policy.update(std::nullopt, 1.1 * due_s).mode, CommandMode::kVelocity);
+  options.burst_m_s2 = 0.0;
+  EXPECT_EQ(DodgePolicy(options).update(Vector2d(1.0, 0.0), 0.0).mode, CommandMode::kVelocity);
+}
+
+TEST(Dodge, EndsWhateverTheMovingCameraSees) {
+  const DodgePolicyOptions options;
+  DodgePolicy policy;
+  constexpr double kFrame_s = 1.0 / 30.0;
+  double moving_s = 0.0;
+  double longest_s = 0.0;
+  double still_s = 0.0;
+  bool again = false;
+  for (int i = 0; i < 60; ++i) {
+    const bool holds = policy.update(Vector2d(1.0, 0.0), i * kFrame_s).mode == CommandMode::kHold;
+    again = again || (!holds && still_s > 0.0);
+    moving_s = holds ? 0.0 : moving_s + kFrame_s;
+    longest_s = std::max(longest_s, moving_s);
+    if (holds && !again) {
+      still_s += kFrame_s;
+    }
+  }
+  EXPECT_NEAR(longest_s, options.longest_s, 2.0 * kFrame_s);
+  EXPECT_NEAR(still_s, options.settle_s, 2.0 * kFrame_s);
+  EXPECT_TRUE(again) << "what still comes then is dodged anew";
 }
 
 TEST(Dodge, DescendsSlowlyAndIgnoresNonsense) {
@@ -268,6 +303,9 @@ TEST(Gap, HoldsWhereTheGapIsLost) {
 TEST(Policies, RefuseImpossibleOptions) {
   DodgePolicyOptions dodge;
   dodge.speed_m_s = 0.0;
+  EXPECT_THROW(DodgePolicy{dodge}, Error);
+  dodge = {};
+  dodge.longest_s = 0.0;
   EXPECT_THROW(DodgePolicy{dodge}, Error);
   NavigatePolicyOptions navigate;
   navigate.slow_down = 1.0;

@@ -105,7 +105,7 @@ TEST_F(SkillTest, DodgeDecidesOnce) {
     if (output.decided) {
       decided.push_back(i);
       EXPECT_EQ(output.status, "incoming");
-      EXPECT_EQ(output.command.mode, control::CommandMode::kVelocity);
+      EXPECT_EQ(output.command.mode, control::CommandMode::kAcceleration);
       EXPECT_LT(output.command.velocity_m_s.y(), -1.0) << "it drifts to the right";
       ASSERT_TRUE(output.point_px);
       EXPECT_NEAR(output.point_px->x(), 100 + i, 3);

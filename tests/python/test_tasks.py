@@ -101,10 +101,10 @@ def test_dodge_over_three_frames_commands_the_other_way() -> None:
         result = pipeline.step(with_disc((120 + 6 * index, 120), 12 + index), index * FRAME)
         command = policy.update(result.safe_direction, index * FRAME)
         modes.append((result.status, command.mode))
-    assert modes == [("detected", "hold"), ("detected", "hold"), ("incoming", "velocity")]
+    assert modes == [("detected", "hold"), ("detected", "hold"), ("incoming", "acceleration")]
     assert command.velocity_m_s[1] == pytest.approx(-tasks.DodgePolicyOptions().speed_m_s, rel=0.05)
     assert [point.time_s for point in result.track] == pytest.approx([0, FRAME, 2 * FRAME])
-    assert json.loads(json.dumps(tasks.command_dict(command)))["mode"] == "velocity"
+    assert json.loads(json.dumps(tasks.command_dict(command)))["mode"] == "acceleration"
 
 
 def test_navigate_goes_round_and_guides_the_policy() -> None:

@@ -34,6 +34,8 @@ double step_of(double elapsed_s) { return elapsed_s > 0.0 ? elapsed_s : 1e-3; }
 // --- Dodge -----------------------------------------------------------------------------------------------------------
 
 DodgePolicy::DodgePolicy(const DodgePolicyOptions& options) : options_(options) {
+  require(options.burst_m_s2 >= 0.0 && options.longest_s > 0.0 && options.settle_s >= 0.0,
+          "dodge policy: give a burst_m_s2 and settle_s of at least 0 and a positive longest_s");
   require(
       options.speed_m_s > 0.0 && options.hold_s >= 0.0 && options.max_down_m_s >= 0.0 && options.max_turn_rad >= 0.0,
       "dodge policy: give a positive speed_m_s and hold_s, max_down_m_s and max_turn_rad of at least 0");
@@ -41,6 +43,7 @@ DodgePolicy::DodgePolicy(const DodgePolicyOptions& options) : options_(options) 
 
 void DodgePolicy::reset() noexcept {
   until_s_.reset();
+  ended_s_.reset();
   last_s_.reset();
   last_ = Command::hold();
 }
@@ -50,14 +53,18 @@ Command DodgePolicy::update(const std::optional<Eigen::Vector2d>& safe_direction
     return last_;
   }
   last_s_ = time_s;
-  if (until_s_ && time_s > *until_s_) {
+  if (until_s_ && time_s > std::min(*until_s_, began_s_ + options_.longest_s)) {
     until_s_.reset();
+    ended_s_ = time_s;
   }
   if (safe_direction && safe_direction->allFinite() && safe_direction->norm() > 0.0) {
     const Eigen::Vector2d wanted = safe_direction->normalized();
     if (!until_s_) {
-      direction_ = wanted;
-      until_s_ = time_s + options_.hold_s;
+      if (!ended_s_ || time_s - *ended_s_ >= options_.settle_s) {
+        direction_ = wanted;
+        began_s_ = time_s;
+        until_s_ = time_s + options_.hold_s;
+      }
     } else if (wanted.dot(direction_) >= std::cos(options_.max_turn_rad)) {
       until_s_ = time_s + options_.hold_s;  // confirmed: go on as begun
     }
@@ -67,7 +74,13 @@ Command DodgePolicy::update(const std::optional<Eigen::Vector2d>& safe_direction
   }
   Eigen::Vector3d velocity(0.0, options_.speed_m_s * direction_.x(), options_.speed_m_s * direction_.y());
   velocity.z() = std::min(velocity.z(), options_.max_down_m_s);
-  return last_ = Command::velocity(velocity);
+  last_ = Command::velocity(velocity);
+  const double burst_s = options_.burst_m_s2 > 0.0 ? options_.speed_m_s / options_.burst_m_s2 : 0.0;
+  if (time_s - began_s_ < burst_s) {
+    last_.mode = CommandMode::kAcceleration;
+    last_.acceleration_m_s2 = velocity / burst_s;
+  }
+  return last_;
 }
 
 // --- Navigate --------------------------------------------------------------------------------------------------------

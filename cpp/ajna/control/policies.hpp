@@ -18,7 +18,11 @@ namespace ajna::control {
 
 struct DodgePolicyOptions {
   double speed_m_s = 3.0;       ///< sideways, at once: the obstacle is a fraction of a second away
-  double hold_s = 0.5;          ///< how long a dodge lasts after its last confirmation
+  double burst_m_s2 = 15.0;     ///< acceleration asked for until that speed is due; 0: none, as gently as a velocity is
+                                ///< followed. What a vehicle may tilt is its output's to limit
+  double hold_s = 0.5;          ///< how long a dodge lasts after its last confirmation ...
+  double longest_s = 0.6;       ///< ... but no longer than this: a camera that moves sees everything come
+  double settle_s = 0.5;        ///< and none begins so soon after another, while the vehicle comes to rest
   double max_down_m_s = 1.0;    ///< downward part of a dodge, so that the floor does not replace the obstacle
   double max_turn_rad = 0.785;  ///< a new safe direction further off than this from the one under way is not followed
 };
@@ -36,6 +40,8 @@ class DodgePolicy {
   DodgePolicyOptions options_;
   Eigen::Vector2d direction_ = Eigen::Vector2d::Zero();
   std::optional<double> until_s_;
+  double began_s_ = 0.0;
+  std::optional<double> ended_s_;
   std::optional<double> last_s_;
   Command last_;
 };
