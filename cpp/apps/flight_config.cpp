@@ -187,10 +187,13 @@ void read_task(YamlSection section, FlightConfig& config) {
   navigate.read("slow_down", skill.navigate_policy.slow_down);
   navigate.read("max_acceleration_m_s2", skill.navigate_policy.max_acceleration_m_s2);
   navigate.read("max_forward_m_s2", skill.navigate_policy.max_forward_m_s2);
-  navigate.read("weave_m_s", skill.navigate_policy.weave_m_s);
+  navigate.read("speed_up_s", skill.navigate_policy.speed_up_s);
+  navigate.read("weave", skill.navigate_policy.weave);
   navigate.read("weave_hz", skill.navigate_policy.weave_hz);
   navigate.read("goal_bearing_rad", skill.goal_bearing_rad);
   navigate.read("baseline_s", skill.baseline_s);
+  navigate.read("baseline_m", skill.baseline_m);
+  navigate.read("longest_baseline_s", skill.longest_baseline_s);
   navigate.read("floor", skill.navigate.floor);
   navigate.read("blocked", skill.navigate.blocked);
   YamlSection horizon = navigate.section("horizon");

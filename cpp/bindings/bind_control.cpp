@@ -68,9 +68,10 @@ void bind_navigate_policy(py::module_& m) {
   AJNA_FIELD(yaw);
   AJNA_FIELD(max_acceleration_m_s2);
   AJNA_FIELD(max_forward_m_s2);
+  AJNA_FIELD(speed_up_s);
   AJNA_FIELD(max_jerk_m_s3);
   AJNA_FIELD(lookahead_s);
-  AJNA_FIELD(weave_m_s);
+  AJNA_FIELD(weave);
   AJNA_FIELD(weave_hz);
 #undef AJNA_FIELD
   py::class_<Guidance>(m, "Guidance", "What the local planner says of a frame: v_g, v_free (body frame) and w.")

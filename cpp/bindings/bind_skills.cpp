@@ -183,6 +183,8 @@ void bind_options(py::module_& m) {
   AJNA_FIELD(max_turn_rad_s);
   AJNA_FIELD(dodge_pair_s);
   AJNA_FIELD(baseline_s);
+  AJNA_FIELD(baseline_m);
+  AJNA_FIELD(longest_baseline_s);
   AJNA_FIELD(height_gain);
   AJNA_FIELD(largest_slope);
   AJNA_FIELD(gap);

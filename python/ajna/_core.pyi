@@ -671,10 +671,11 @@ class NavigatePolicy:
 class NavigatePolicyOptions:
     direction: PidOptions
     lookahead_s: float
-    weave_m_s: float
+    weave: float
     weave_hz: float
     max_acceleration_m_s2: float
     max_forward_m_s2: float
+    speed_up_s: float
     max_jerk_m_s3: float
     slow_down: float
     speed_m_s: float
@@ -925,6 +926,8 @@ class SkillOptions:
     max_turn_rad_s: float
     dodge_pair_s: float
     baseline_s: float
+    baseline_m: float
+    longest_baseline_s: float
     height_gain: float
     largest_slope: float
     gap: GapOptions

@@ -194,7 +194,7 @@ TEST(Navigate, TurnsAndPushesTowardsTheDesiredDirection) {
 
 TEST(Navigate, MeasuredVelocityClosesTheLoop) {
   NavigatePolicyOptions options;
-  options.weave_m_s = 0.0;
+  options.weave = 0.0;
   NavigatePolicy policy(options);
   const double speed = options.speed_m_s;
   const Command steady = policy.update(Guidance{}, 0.0, Vector3d(speed, 0, 0));
@@ -211,7 +211,7 @@ TEST(Navigate, LeansForwardNoFurtherThanItSees) {
   for (double t = 0.0; t < 1.0; t += 0.033) {
     most = std::max(most, policy.update(guidance, t, Vector3d::Zero()).acceleration_m_s2.x());
   }
-  EXPECT_NEAR(most, options.max_forward_m_s2, 1e-9);
+  EXPECT_NEAR(most, std::min(options.max_forward_m_s2, options.speed_m_s / options.speed_up_s), 1e-9);
   // Braking is limited by the whole acceleration only.
   guidance.speed_m_s = 0.0;
   double least = 0.0;
@@ -238,13 +238,13 @@ double swing(const NavigatePolicyOptions& options, const Guidance& guidance, boo
 TEST(Navigate, WeavesWhileItFliesAndNotWhileItStands) {
   NavigatePolicyOptions options;
   Guidance guidance;
-  EXPECT_GT(swing(options, guidance, true), 0.5 * options.weave_m_s);
-  EXPECT_LT(swing(options, guidance, true), 1.5 * options.weave_m_s);
+  EXPECT_GT(swing(options, guidance, true), 0.5 * options.weave * options.speed_m_s);
+  EXPECT_LT(swing(options, guidance, true), 1.5 * options.weave * options.speed_m_s);
   EXPECT_LT(swing(options, guidance, false), 1e-9) << "without a measured velocity it could drift";
   guidance.speed_m_s = 0.0;
   EXPECT_LT(swing(options, guidance, true), 1e-9);
   guidance.speed_m_s.reset();
-  options.weave_m_s = 0.0;
+  options.weave = 0.0;
   EXPECT_LT(swing(options, guidance, true), 1e-9);
 }
 
@@ -314,7 +314,7 @@ TEST(Policies, RefuseImpossibleOptions) {
   navigate.max_forward_m_s2 = 0.0;
   EXPECT_THROW(NavigatePolicy{navigate}, Error);
   navigate = {};
-  navigate.weave_m_s = -0.1;
+  navigate.weave = -0.1;
   EXPECT_THROW(NavigatePolicy{navigate}, Error);
   GapPolicyOptions gap;
   gap.realign = 0.01;

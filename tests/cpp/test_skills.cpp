@@ -135,7 +135,10 @@ TEST_F(SkillTest, AFailedSignalIsToldAndTheFrameKept) {
 
 TEST_F(SkillTest, NavigatePairsSpanTheBaselineWithoutTurning) {
   const auto skill = make(Task::kNavigate);
-  const double baseline_s = SkillOptions{}.baseline_s;
+  const SkillOptions defaults;
+  const double baseline_s = defaults.baseline_m / defaults.navigate_policy.speed_m_s;
+  ASSERT_GT(baseline_s, defaults.baseline_s);
+  ASSERT_LT(baseline_s, defaults.longest_baseline_s);
   for (int i = 0; i < 12; ++i) {
     skill->plan(at(i / 30.0));
   }

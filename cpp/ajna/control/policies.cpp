@@ -86,9 +86,9 @@ Command DodgePolicy::update(const std::optional<Eigen::Vector2d>& safe_direction
 // --- Navigate --------------------------------------------------------------------------------------------------------
 
 NavigatePolicyOptions::NavigatePolicyOptions() {
-  direction.kp = 14.0;
-  direction.ki = 0.5;
-  direction.kd = 0.3;
+  direction.kp = 14.0 / 4.8;
+  direction.ki = 0.5 / 4.8;
+  direction.kd = 0.3 / 4.8;
   direction.output_min = -8.0;
   direction.output_max = 8.0;
   yaw.kp = 2.0;
@@ -114,7 +114,8 @@ NavigatePolicy::NavigatePolicy(const NavigatePolicyOptions& options)
           "navigate policy: give a positive speed_m_s, max_acceleration_m_s2, max_forward_m_s2 and max_jerk_m_s3 and a "
           "lookahead_s of at least 0");
   require(options.slow_down >= 0.0 && options.slow_down < 1.0, "navigate policy: give slow_down from 0 to below 1");
-  require(options.weave_m_s >= 0.0 && options.weave_hz >= 0.0, "navigate policy: give weave_m_s and weave_hz from 0");
+  require(options.weave >= 0.0 && options.weave_hz >= 0.0, "navigate policy: give weave and weave_hz from 0");
+  require(options.speed_up_s > 0.0, "navigate policy: give a positive speed_up_s");
 }
 
 void NavigatePolicy::reset() noexcept {
@@ -146,22 +147,21 @@ Command NavigatePolicy::update(const std::optional<Guidance>& guidance, double t
   const double speed =
       std::clamp(guidance_.speed_m_s.value_or(options_.speed_m_s * (1.0 - options_.slow_down * guidance_.weight)), 0.0,
                  options_.speed_m_s);
-  // Eq. 4 in units of the cruise speed, so that its gain does not depend on the speed that is wanted now.
-  Eigen::Vector3d wanted = speed / options_.speed_m_s * desired;
+  // Eq. 4 times the cruise speed, so that the loop is as quick at any speed: per m/s of velocity.
+  Eigen::Vector3d wanted = speed * desired;
   if (velocity_m_s) {
     // Less when it slows down, and none where it stops.
-    const double swing = options_.weave_m_s / options_.speed_m_s * std::min(1.0, 2.0 * speed / options_.speed_m_s);
+    const double swing = options_.weave * std::min(options_.speed_m_s, 2.0 * speed);
     wanted.y() += swing * std::cos(2.0 * M_PI * options_.weave_hz * swung_s_);
     swung_s_ += dt_s;
   }
-  const Eigen::Vector3d current = velocity_m_s && velocity_m_s->allFinite()
-                                      ? Eigen::Vector3d(*velocity_m_s / options_.speed_m_s)
-                                      : Eigen::Vector3d(speed / options_.speed_m_s, 0.0, 0.0);
+  const Eigen::Vector3d current =
+      velocity_m_s && velocity_m_s->allFinite() ? *velocity_m_s : Eigen::Vector3d(speed, 0.0, 0.0);
   Command command;
   command.mode = CommandMode::kAcceleration;
   command.velocity_m_s = speed * desired;
   Eigen::Vector3d asked = direction_.update(wanted - current, dt_s);
-  asked.x() = std::min(asked.x(), options_.max_forward_m_s2);
+  asked.x() = std::min({asked.x(), options_.max_forward_m_s2, options_.speed_m_s / options_.speed_up_s});
   asked = limit_norm(asked, options_.max_acceleration_m_s2);
   command.acceleration_m_s2 =
       last_.acceleration_m_s2 +

@@ -51,14 +51,16 @@ class DodgePolicy {
 struct NavigatePolicyOptions {
   double speed_m_s = 3.0;              ///< cruise speed
   double slow_down = 0.5;              ///< share of the speed that is given up at w = 1
-  PidOptions direction;                ///< Eq. 5, m/s^2 per unit of direction error
+  PidOptions direction;                ///< Eq. 5, m/s^2 per m/s that the direction error makes at cruise speed
   PidOptions yaw;                      ///< rad/s per rad between heading and desired direction
   double max_acceleration_m_s2 = 8.0;  ///< of the command
   double max_forward_m_s2 = 3.5;       ///< of it forwards: what is more tilts the camera until it sees but the ground
-  double max_jerk_m_s3 = 25.0;         ///< of the command: what is harder turns the camera, and blurs
-  double lookahead_s = 1.0;            ///< without an answer for this long the policy holds
-  double weave_m_s = 0.6;  ///< sideways swing of a vehicle with known velocity: what it flies straight at has no motion
-  double weave_hz = 0.7;   ///< to be seen by; less at less than half the cruise speed, none at rest
+  double speed_up_s = 1.37;     ///< cruise speed is not reached sooner: what is near must be seen before it is hit
+  double max_jerk_m_s3 = 25.0;  ///< of the command: what is harder turns the camera, and blurs
+  double lookahead_s = 1.0;     ///< without an answer for this long the policy holds
+  double weave = 0.125;   ///< sideways swing of a vehicle with known velocity, as a share of the cruise speed: what it
+                          ///< flies straight at has no motion to be seen by; less below half that speed, none at rest
+  double weave_hz = 0.7;  ///< of the swing
 
   NavigatePolicyOptions();
 };

@@ -22,7 +22,7 @@ double turn_between(const Attitude& a, const Attitude& b) {
   return std::abs(Eigen::AngleAxisd(turn).angle());
 }
 
-/// Fly to the goal through what is free. Pairs span baseline_s, so that what is near has moved by some pixels, and the
+/// Fly to the goal through what is free. Pairs span some time, so that what is near has moved by some pixels, and the
 /// turning between them is taken out: what is left grows with inverse depth. The height is held by other sensors: of
 /// the directions only the horizontal part is followed. Where attitude and velocity are known, uncertainty along the
 /// horizon becomes distances, and a corridor between what stands there is chosen; else the largest free space is.
@@ -31,7 +31,9 @@ class NavigateSkill final : public Skill {
   NavigateSkill(const SkillOptions& options, Signal signal)
       : options_(options),
         signal_(std::move(signal)),
-        max_age_s_(std::max(options.max_interval_s, 1.5 * options.baseline_s)),
+        baseline_s_(std::max(options.baseline_s, std::min(options.baseline_m / options.navigate_policy.speed_m_s,
+                                                          options.longest_baseline_s))),
+        max_age_s_(std::max(options.max_interval_s, 1.5 * baseline_s_)),
         memory_(max_age_s_),
         pipeline_(pipeline_options(options)),
         planner_(options.corridor, options.occupancy),
@@ -62,7 +64,7 @@ class NavigateSkill final : public Skill {
     const Attitude attitude = input.attitude.value_or(Attitude{});
     const Eigen::Vector3d goal = levelled(goal_of(input), input.too_high_m);
     move(now.captured_s, input);
-    const Snapshot* before = memory_.find(now.captured_s, options_.baseline_s, max_age_s_);
+    const Snapshot* before = memory_.find(now.captured_s, baseline_s_, max_age_s_);
     const bool first = std::exchange(first_, false);
     if (before == nullptr || !same_size(now, *before)) {
       output.status = "first_frame";
@@ -220,6 +222,7 @@ class NavigateSkill final : public Skill {
 
   SkillOptions options_;
   Signal signal_;
+  double baseline_s_;
   double max_age_s_;
   Memory memory_;
   tasks::NavigatePipeline pipeline_;

@@ -43,7 +43,9 @@ struct SkillOptions {
   tasks::NavigateOptions navigate;    ///< where they are not
   control::NavigatePolicyOptions navigate_policy;
   double max_turn_rad_s = 2.5;  ///< frames of a faster turn are blurred: the last answer stands for lookahead_s
-  double baseline_s = 0.2;      ///< between the frames of a pair: what is near has then moved by some pixels
+  double baseline_s = 0.2;      ///< between the frames of a pair, at least: what is near has then moved by some pixels
+  double baseline_m = 0.9;      ///< way at cruise speed between them, for slower vehicles ...
+  double longest_baseline_s = 0.4;  ///< ... but no more than this: after that a turn has left little in common
   double height_gain = 0.4;  ///< downward part of the direction per metre too high; only level directions are followed
   double largest_slope = 0.3;  ///< of that part
 
