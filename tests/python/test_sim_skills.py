@@ -132,8 +132,9 @@ def test_dodge_plans_and_acts_when_its_timing_says(timing: Timing, calls: int, d
     assert [output.planned for output in outputs].count(True) == calls + (timing.rate_hz is None)
     assert [i for i, output in enumerate(outputs) if output.decided] == [decided]
     outputs += [method(observed(i / 30)) for i in range(12, 15)]
-    sideways = [i for i, output in enumerate(outputs) if output.command.velocity_m_s[1] < -1]
-    assert sideways[0] == moved  # to the left: it is seen on the right
+    bursts = [i for i, output in enumerate(outputs) if output.command.velocity_m_s is None]
+    assert bursts[0] == moved
+    assert outputs[moved].command.thrust_m_s2[1] < -10  # to the left: it is seen on the right
 
 
 def test_hold_keeps_the_place() -> None:
