@@ -241,6 +241,8 @@ TEST(Navigate, WeavesWhileItFliesAndNotWhileItStands) {
   EXPECT_GT(swing(options, guidance, true), 0.5 * options.weave * options.speed_m_s);
   EXPECT_LT(swing(options, guidance, true), 1.5 * options.weave * options.speed_m_s);
   EXPECT_LT(swing(options, guidance, false), 1e-9) << "without a measured velocity it could drift";
+  const Vector3d no_number(kNaN, 0.0, 0.0);
+  EXPECT_EQ(NavigatePolicy(options).update(guidance, 0.0, no_number).acceleration_m_s2.y(), 0.0) << "nor with that";
   guidance.speed_m_s = 0.0;
   EXPECT_LT(swing(options, guidance, true), 1e-9);
   guidance.speed_m_s.reset();

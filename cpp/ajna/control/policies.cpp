@@ -149,14 +149,14 @@ Command NavigatePolicy::update(const std::optional<Guidance>& guidance, double t
                  options_.speed_m_s);
   // Eq. 4 times the cruise speed, so that the loop is as quick at any speed: per m/s of velocity.
   Eigen::Vector3d wanted = speed * desired;
-  if (velocity_m_s) {
+  const bool measured = velocity_m_s && velocity_m_s->allFinite();
+  if (measured) {
     // Less when it slows down, and none where it stops.
     const double swing = options_.weave * std::min(options_.speed_m_s, 2.0 * speed);
     wanted.y() += swing * std::cos(2.0 * M_PI * options_.weave_hz * swung_s_);
     swung_s_ += dt_s;
   }
-  const Eigen::Vector3d current =
-      velocity_m_s && velocity_m_s->allFinite() ? *velocity_m_s : Eigen::Vector3d(speed, 0.0, 0.0);
+  const Eigen::Vector3d current = measured ? *velocity_m_s : Eigen::Vector3d(speed, 0.0, 0.0);
   Command command;
   command.mode = CommandMode::kAcceleration;
   command.velocity_m_s = speed * desired;

@@ -80,7 +80,7 @@ class NavigateSkill final : public Skill {
     const SignalMap seen = signal_(now, *before, CommonMotion::kRotation);
     output.flow = seen.flow;
     output.map = seen.map;
-    if (input.attitude && input.velocity_m_s) {
+    if (measured(input)) {
       const bool blurred = before->attitude && turn_between(*before->attitude, attitude) >
                                                    options_.max_turn_rad_s * (now.captured_s - before->captured_s);
       if (blurred || !fly_corridor(seen, now.captured_s - before->captured_s, goal, input, output)) {
@@ -109,6 +109,11 @@ class NavigateSkill final : public Skill {
     }
     output.command = policy_.update(guidance, now.captured_s, input.velocity_m_s);
     return output;
+  }
+
+  /// A velocity that is no number is none: one such frame must not spoil the position for ever.
+  static bool measured(const SkillInput& input) {
+    return input.attitude && input.velocity_m_s && input.velocity_m_s->allFinite();
   }
 
   /// Choose a corridor between the things that the map shows along the horizon; false where it shows nothing.
@@ -178,7 +183,7 @@ class NavigateSkill final : public Skill {
   /// Dead reckoning: for things that are remembered for less than a second.
   void move(double time_s, const SkillInput& input) {
     constexpr double kLongest_s = 0.5;
-    if (moved_s_ && input.attitude && input.velocity_m_s) {
+    if (moved_s_ && measured(input)) {
       const double dt_s = std::clamp(time_s - *moved_s_, 0.0, kLongest_s);
       const double c = std::cos(input.attitude->yaw_rad);
       const double s = std::sin(input.attitude->yaw_rad);
