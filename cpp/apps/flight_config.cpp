@@ -194,12 +194,15 @@ void read_task(YamlSection section, FlightConfig& config) {
   navigate.read("baseline_s", skill.baseline_s);
   navigate.read("baseline_m", skill.baseline_m);
   navigate.read("longest_baseline_s", skill.longest_baseline_s);
+  navigate.read("baseline_share", skill.baseline_share);
+  navigate.read("camera_ahead_m", skill.corridor.camera_ahead_m);
   navigate.read("floor", skill.navigate.floor);
   navigate.read("blocked", skill.navigate.blocked);
   YamlSection horizon = navigate.section("horizon");
   horizon.read("floor", skill.horizon.floor);
   horizon.read("per_px", skill.horizon.per_px);
   horizon.read("least_shift_px", skill.horizon.least_shift_px);
+  horizon.read("saturated", skill.horizon.saturated);
   horizon.finish();
   navigate.finish();
   YamlSection gap = section.section("gap");

@@ -105,6 +105,7 @@ void bind_horizon(py::module_& m) {
   AJNA_FIELD(floor);
   AJNA_FIELD(per_px);
   AJNA_FIELD(least_shift_px);
+  AJNA_FIELD(saturated);
   AJNA_FIELD(max_distance_m);
   AJNA_FIELD(min_move_m);
   AJNA_FIELD(column_step);
@@ -123,6 +124,8 @@ void bind_horizon(py::module_& m) {
   AJNA_FIELD(keep_weight);
   AJNA_FIELD(need_m);
   AJNA_FIELD(need_weight);
+  AJNA_FIELD(crowd_weight);
+  AJNA_FIELD(camera_ahead_m);
   AJNA_FIELD(brake_m_s2);
   AJNA_FIELD(stop_m);
   AJNA_FIELD(lag_s);
@@ -138,6 +141,7 @@ void bind_horizon(py::module_& m) {
   AJNA_FIELD(passed);
   AJNA_FIELD(sure_m);
   AJNA_FIELD(clear_share);
+  AJNA_FIELD(clear_near);
   AJNA_FIELD(thickness);
   AJNA_FIELD(bound);
   AJNA_FIELD(blocked);
@@ -151,7 +155,7 @@ void bind_horizon(py::module_& m) {
         py::array keep;
         const auto found = tasks::horizon_scan(float_mat(map, keep), {}, rotation, fov, move, chosen)
                                .value_or(tasks::HorizonScan{})
-                               .things;
+                               .all_things();
         py::array_t<double> points({static_cast<py::ssize_t>(found.size()), py::ssize_t{2}});
         for (std::size_t i = 0; i < found.size(); ++i) {
           points.mutable_at(static_cast<py::ssize_t>(i), 0) = found[i].x();
@@ -185,6 +189,7 @@ void bind_options(py::module_& m) {
   AJNA_FIELD(baseline_s);
   AJNA_FIELD(baseline_m);
   AJNA_FIELD(longest_baseline_s);
+  AJNA_FIELD(baseline_share);
   AJNA_FIELD(height_gain);
   AJNA_FIELD(largest_slope);
   AJNA_FIELD(gap);

@@ -186,6 +186,8 @@ class CorridorOptions:
     keep_weight: float
     need_m: float
     need_weight: float
+    crowd_weight: float
+    camera_ahead_m: float
     brake_m_s2: float
     stop_m: float
     lag_s: float
@@ -199,6 +201,7 @@ class OccupancyOptions:
     passed: float
     sure_m: float
     clear_share: float
+    clear_near: float
     thickness: float
     bound: float
     blocked: float
@@ -509,6 +512,7 @@ class HorizonOptions:
     floor: float
     per_px: float
     least_shift_px: float
+    saturated: float
     max_distance_m: float
     min_move_m: float
     column_step: int
@@ -928,6 +932,7 @@ class SkillOptions:
     baseline_s: float
     baseline_m: float
     longest_baseline_s: float
+    baseline_share: float
     height_gain: float
     largest_slope: float
     gap: GapOptions

@@ -87,6 +87,29 @@ TEST(Occupancy, FarReadingsCountLess) {
   EXPECT_NEAR(map.evidence({8.1, 0.0}), near * OccupancyOptions{}.sure_m / 8.0, 0.05);
 }
 
+TEST(Occupancy, SaturatedReadingsMarkAndClearNothing) {
+  // What was seen at 1.2 m must stand when, nearer still, it reads as if it stood at 2.5 m.
+  OccupancyMap map;
+  for (int i = 0; i < 5; ++i) {
+    map.add(trunk(1.2, 0.0), {0, 0}, 0.0);
+  }
+  const double before = map.evidence({1.3, 0.0});
+  ASSERT_GT(before, OccupancyOptions{}.blocked);
+  HorizonScan far;
+  far.things.emplace_back(2.5, 0.0);
+  HorizonScan saturated;
+  saturated.near = far.things;
+  for (int i = 0; i < 10; ++i) {
+    map.add(saturated, {0, 0}, 0.0);
+  }
+  EXPECT_EQ(map.evidence({1.3, 0.0}), before);
+  EXPECT_GT(map.evidence({2.6, 0.0}), OccupancyOptions{}.blocked);
+  for (int i = 0; i < 10; ++i) {
+    map.add(far, {0, 0}, 0.0);
+  }
+  EXPECT_LT(map.evidence({1.3, 0.0}), 0.0) << "a reading that can be trusted clears the way to it";
+}
+
 TEST(Occupancy, ForgetsAsItMovesAndNothingAtRest) {
   const OccupancyOptions options;
   OccupancyMap map;
@@ -194,6 +217,47 @@ TEST(Corridor, GoesOnFromBesideAThing) {
   ASSERT_FALSE(planner.things().empty());
   EXPECT_GT(corridor.free_m, 3.0);
   EXPECT_GE(corridor.angle_rad, 0.0) << "and not nearer to it";
+}
+
+/// How near the vehicle's middle comes to a thing 0.6 m long beside it, when it flies as it is told, 30 times a second.
+double nearest_of_a_flight_past(double crowd_weight) {
+  CorridorOptions options;
+  options.crowd_weight = crowd_weight;
+  options.camera_ahead_m = 0.0;
+  CorridorPlanner planner(options);
+  HorizonScan scan = nothing();
+  for (int i = 0; i <= 30; ++i) {
+    scan.things.emplace_back(0.8 + 0.02 * i, 0.5);
+  }
+  seen(planner, scan, 0.0, 10);
+  Vector2d at(0, 0);
+  double yaw = 0.0;
+  double nearest = 1e9;
+  for (int i = 0; i < 60; ++i) {
+    const Corridor corridor = planner.plan(std::nullopt, at, yaw, 0.8 - yaw, {1.5, 0.0});  // the goal: round the corner
+    yaw += 0.15 * corridor.angle_rad;
+    at += 0.05 * Vector2d(std::cos(yaw), std::sin(yaw));
+    for (const auto& thing : scan.things) {
+      nearest = std::min(nearest, (thing - at).norm());
+    }
+  }
+  EXPECT_GT(at.y(), 0.5) << "it did go round the corner";
+  return nearest;
+}
+
+TEST(Corridor, KeepsFurtherFromWhatItPasses) {
+  // This one turns on the spot, which no vehicle does; it shows what the choice of directions by itself is worth.
+  EXPECT_GT(nearest_of_a_flight_past(CorridorOptions{}.crowd_weight), nearest_of_a_flight_past(0.0) + 0.02);
+}
+
+TEST(Corridor, FliesThroughTheMiddleOfAGap) {
+  CorridorPlanner planner;
+  HorizonScan scan = trunk(2.0, -1.0, 0.6);
+  const HorizonScan other = trunk(2.0, 0.7, 0.6);
+  scan.things.insert(scan.things.end(), other.things.begin(), other.things.end());
+  const Corridor corridor = seen(planner, scan, 0.0, 10);
+  EXPECT_LT(corridor.angle_rad, 0.0) << "the goal's own line would pass nearer to the right one";
+  EXPECT_GT(corridor.angle_rad, -0.2);
 }
 
 TEST(Corridor, SlowsDownBeforeAWall) {

@@ -76,6 +76,9 @@ TEST(FlightConfig, TheDocumentedExampleIsValidAndStatesTheDefaults) {
   EXPECT_EQ(example.skill.horizon.floor, plain.skill.horizon.floor);
   EXPECT_EQ(example.skill.horizon.per_px, plain.skill.horizon.per_px);
   EXPECT_EQ(example.skill.horizon.least_shift_px, plain.skill.horizon.least_shift_px);
+  EXPECT_EQ(example.skill.horizon.saturated, plain.skill.horizon.saturated);
+  EXPECT_EQ(example.skill.baseline_share, plain.skill.baseline_share);
+  EXPECT_EQ(example.skill.corridor.camera_ahead_m, plain.skill.corridor.camera_ahead_m);
   EXPECT_EQ(example.skill.gap_policy.forward_m_s, plain.skill.gap_policy.forward_m_s);
   EXPECT_EQ(example.skill.last_look_s, plain.skill.last_look_s);
 }

@@ -61,6 +61,27 @@ TEST(Horizon, DistancesOfAWallHoweverTheCameraIsTilted) {
   }
 }
 
+TEST(Horizon, SaturatedColumnsAreKeptApart) {
+  const Eigen::Vector3d move(0.4, 0.0, 0.0);
+  const cv::Mat map = wall(level(), move, 1.5);
+  HorizonOptions options;
+  options.saturated = 1e6;
+  const auto open = horizon_scan(map, {}, level(), kFov, move, options);
+  const auto found = horizon_scan(map, {}, level(), kFov, move);
+  ASSERT_TRUE(open && found);
+  EXPECT_TRUE(open->near.empty());
+  // Far from the focus of expansion, in the middle, the wall moves most: at both edges of the picture.
+  EXPECT_GT(found->near.size(), 20U);
+  EXPECT_GT(found->things.size(), 20U);
+  EXPECT_EQ(found->all_things().size(), open->things.size());
+  for (const auto& thing : found->near) {
+    EXPECT_GT(std::abs(thing.y()), 0.5);
+    EXPECT_NEAR(thing.x(), 1.5, 0.1) << "read by the same law";
+  }
+  options.saturated = options.floor - 0.1;
+  EXPECT_THROW(validate(options), Error);
+}
+
 TEST(Horizon, CertainIsFree) {
   const cv::Mat map(kHeight, kWidth, CV_32F, cv::Scalar(0.1F));
   const auto found = horizon_scan(map, {}, level(), kFov, {0.4, 0, 0});

@@ -150,6 +150,26 @@ TEST_F(SkillTest, NavigatePairsSpanTheBaselineWithoutTurning) {
   EXPECT_EQ(asked.back().common, CommonMotion::kRotation);
 }
 
+TEST_F(SkillTest, NavigatePairsAreShorterWhereSomethingIsNear) {
+  const auto fly = [&](double uncertainty) {
+    map = cv::Mat(kHeight, kWidth, CV_32F, cv::Scalar(uncertainty));
+    const auto skill = make(Task::kNavigate);
+    asked.clear();
+    for (int i = 0; i < 20; ++i) {
+      SkillInput input = at(i / 30.0);
+      input.velocity_m_s = Eigen::Vector3d(2.0, 0.0, 0.0);
+      skill->plan(input);
+    }
+    return asked.back().first_s - asked.back().second_s;
+  };
+  const SkillOptions defaults;
+  const double far_s = fly(0.1);
+  EXPECT_NEAR(far_s, defaults.baseline_m / defaults.navigate_policy.speed_m_s, 0.02);
+  const double near_s = fly(1.5);
+  EXPECT_LT(near_s, far_s - 0.05);
+  EXPECT_NEAR(near_s, defaults.baseline_s, 0.02) << "no less than this, however near";
+}
+
 TEST_F(SkillTest, NavigateSetsOutOnceWithoutAPair) {
   const auto skill = make(Task::kNavigate);
   const auto first = skill->plan(at(0.0));

@@ -49,6 +49,7 @@ class NavigateSkill final : public Skill {
     position_m_.setZero();
     moved_s_.reset();
     chosen_.reset();
+    close_m_.reset();
     first_ = true;
   }
 
@@ -64,7 +65,7 @@ class NavigateSkill final : public Skill {
     const Attitude attitude = input.attitude.value_or(Attitude{});
     const Eigen::Vector3d goal = levelled(goal_of(input), input.too_high_m);
     move(now.captured_s, input);
-    const Snapshot* before = memory_.find(now.captured_s, baseline_s_, max_age_s_);
+    const Snapshot* before = memory_.find(now.captured_s, interval_s(input), max_age_s_);
     const bool first = std::exchange(first_, false);
     if (before == nullptr || !same_size(now, *before)) {
       output.status = "first_frame";
@@ -116,6 +117,15 @@ class NavigateSkill final : public Skill {
     return input.attitude && input.velocity_m_s && input.velocity_m_s->allFinite();
   }
 
+  /// How far apart the frames of a pair should be: closer together where something is near.
+  [[nodiscard]] double interval_s(const SkillInput& input) const {
+    if (!measured(input) || !close_m_) {
+      return baseline_s_;
+    }
+    const double speed = std::max(input.velocity_m_s->norm(), 1e-3);
+    return std::clamp(options_.baseline_share * *close_m_ / speed, options_.baseline_s, baseline_s_);
+  }
+
   /// Choose a corridor between the things that the map shows along the horizon; false where it shows nothing.
   bool fly_corridor(const SignalMap& seen, double interval_s, const Eigen::Vector3d& goal, const SkillInput& input,
                     SkillOutput& output) {
@@ -143,11 +153,12 @@ class NavigateSkill final : public Skill {
     };
     output.point_px = pixel(control::desired_direction(guidance));
     output.command = policy_.update(guidance, time_s, input.velocity_m_s);
+    close_m_ = corridor.close_m;
     chosen_ = Chosen{time_s, attitude.yaw_rad + corridor.angle_rad, guidance.weight, corridor.speed_m_s};
     // What is near, as upright lines of a third of a metre, for pictures.
     constexpr double kHalfHeight_m = 0.15;
     output.mask = cv::Mat::zeros(map.size(), CV_8U);
-    for (const auto& thing : scan ? scan->things : tasks::Obstacles{}) {
+    for (const auto& thing : scan ? scan->all_things() : tasks::Obstacles{}) {
       const auto low = pixel({thing.x(), thing.y(), kHalfHeight_m});
       const auto high = pixel({thing.x(), thing.y(), -kHalfHeight_m});
       if (low && high) {
@@ -237,6 +248,7 @@ class NavigateSkill final : public Skill {
   Eigen::Vector2d position_m_ = Eigen::Vector2d::Zero();  ///< north, east, since the beginning
   std::optional<double> moved_s_;
   std::optional<Chosen> chosen_;
+  std::optional<double> close_m_;  ///< to the nearest thing ahead
   bool first_ = true;
 };
 

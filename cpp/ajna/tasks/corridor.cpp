@@ -13,7 +13,7 @@ namespace ajna::tasks {
 namespace {
 
 constexpr double kPixel_m = 0.1;   // of the picture of clearances
-constexpr double kBehind_m = 0.5;  // behind the camera's plane, but still beside the vehicle
+constexpr double kBehind_m = 1.0;  // behind the camera's plane, but still beside the vehicle
 
 }  // namespace
 
@@ -29,6 +29,8 @@ void validate(const CorridorOptions& options) {
   require_between("navigate options: corridor.keep_weight", options.keep_weight, 0.0, 10.0);
   require_between("navigate options: corridor.need_m", options.need_m, 0.1, 100.0);
   require_between("navigate options: corridor.need_weight", options.need_weight, 0.0, 10.0);
+  require_between("navigate options: corridor.crowd_weight", options.crowd_weight, 0.0, 100.0);
+  require_between("navigate options: corridor.camera_ahead_m", options.camera_ahead_m, -2.0, 2.0);
   require_between("navigate options: corridor.brake_m_s2", options.brake_m_s2, 0.1, 50.0);
   require_between("navigate options: corridor.stop_m", options.stop_m, 0.0, 10.0);
   require_between("navigate options: corridor.lag_s", options.lag_s, 0.0, 2.0);
@@ -86,7 +88,7 @@ CorridorPlanner::Free CorridorPlanner::free_length(double angle_rad, const Eigen
   const double dt_s = kStep_m / speed;
   const Eigen::Vector2d wanted = speed * Eigen::Vector2d(std::cos(angle_rad), std::sin(angle_rad));
   Eigen::Vector2d velocity = velocity_m_s;
-  Eigen::Vector2d at = Eigen::Vector2d::Zero();
+  Eigen::Vector2d at(-options_.camera_ahead_m, 0.0);
   double reached = clearance(at);
   double along = 0.0;
   Free free{options_.horizon_m, options_.horizon_m};
@@ -101,6 +103,10 @@ CorridorPlanner::Free CorridorPlanner::free_length(double angle_rad, const Eigen
     along += dt_s * std::max(velocity.norm(), 0.3 * speed);
     const double here = clearance(at);
     reached = std::max(reached, here);
+    if (along <= options_.need_m) {
+      const double taken = std::max(0.0, 1.0 - here / wide);
+      free.crowd += taken * taken * kStep_m / options_.need_m;
+    }
     if (here < std::min(wide, reached - kNearer_m)) {
       free.wide_m = std::min(free.wide_m, along);
     }
@@ -135,7 +141,8 @@ Corridor CorridorPlanner::plan(const std::optional<HorizonScan>& scan, const Eig
     const Free free = free_length(angle, velocity_m_s);
     const double score = (free.narrow_m + options_.room_weight * free.wide_m) / options_.horizon_m -
                          options_.goal_weight * std::abs(angle - goal) - options_.keep_weight * std::abs(angle - last) -
-                         options_.need_weight * std::max(0.0, 1.0 - free.narrow_m / options_.need_m);
+                         options_.need_weight * std::max(0.0, 1.0 - free.narrow_m / options_.need_m) -
+                         options_.crowd_weight * free.crowd;
     if (score > best_score) {
       best_score = score;
       best.angle_rad = angle;

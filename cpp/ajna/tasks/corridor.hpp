@@ -22,11 +22,13 @@ struct CorridorOptions {
   double keep_weight = 0.3;    ///< of the angle to the last choice, per radian: what is turned back from halfway is hit
   double need_m = 3.5;         ///< what is free for less ...
   double need_weight = 1.5;    ///< ... loses by so much times the missing share
-  double brake_m_s2 = 3.0;     ///< the speed is one that can be braked within what is free
-  double stop_m = 0.3;         ///< that much of it is left over
-  double lag_s = 0.15;         ///< a vehicle under way flies on for so long ...
-  double turn_per_s = 3.0;     ///< ... then its velocity comes nearer to the wanted one at this rate ...
-  double turn_m_s2 = 8.0;      ///< ... but changes no faster than this
+  double crowd_weight = 2.0;   ///< of how near things stand to the way, over need_m of it
+  double camera_ahead_m = 0.1;  ///< of the vehicle's middle
+  double brake_m_s2 = 3.0;      ///< the speed is one that can be braked within what is free
+  double stop_m = 0.3;          ///< that much of it is left over
+  double lag_s = 0.15;          ///< a vehicle under way flies on for so long ...
+  double turn_per_s = 3.0;      ///< ... then its velocity comes nearer to the wanted one at this rate ...
+  double turn_m_s2 = 8.0;       ///< ... but changes no faster than this
 };
 /// Throws Error(kInvalidArgument) that names the first option out of range.
 void validate(const CorridorOptions& options);
@@ -58,6 +60,7 @@ class CorridorPlanner {
   struct Free {
     double narrow_m = 0.0;
     double wide_m = 0.0;
+    double crowd = 0.0;  ///< mean over the way's first need_m of the squared share of the wide corridor that is taken
   };
   [[nodiscard]] Free free_length(double angle_rad, const Eigen::Vector2d& velocity_m_s) const;
   [[nodiscard]] double clearance(const Eigen::Vector2d& point_m) const;

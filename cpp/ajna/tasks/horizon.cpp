@@ -46,9 +46,16 @@ void validate(const HorizonOptions& options) {
   require_between("navigate options: horizon.floor", options.floor, 0.0, 100.0);
   require_between("navigate options: horizon.per_px", options.per_px, 1e-4, 100.0);
   require_between("navigate options: horizon.least_shift_px", options.least_shift_px, 0.0, 1000.0);
+  require_between("navigate options: horizon.saturated", options.saturated, options.floor, 1e6);
   require_between("navigate options: horizon.max_distance_m", options.max_distance_m, 1.0, 1000.0);
   require_between("navigate options: horizon.min_move_m", options.min_move_m, 1e-3, 10.0);
   require_between("navigate options: horizon.column_step", options.column_step, 1, 64);
+}
+
+Obstacles HorizonScan::all_things() const {
+  Obstacles all = things;
+  all.insert(all.end(), near.begin(), near.end());
+  return all;
 }
 
 std::optional<HorizonScan> horizon_scan(const cv::Mat& map, const cv::Mat& valid,
@@ -99,7 +106,7 @@ std::optional<HorizonScan> horizon_scan(const cv::Mat& map, const cv::Mat& valid
     const Eigen::Vector3d ray = heading_from_camera * Eigen::Vector3d(normalized.x(), normalized.y(), 1.0);
     const Eigen::Vector2d along = ray.head<2>();
     if (depth * along.norm() <= options.max_distance_m) {
-      scan.things.emplace_back(depth * along);
+      (excess + options.floor >= options.saturated ? scan.near : scan.things).emplace_back(depth * along);
     } else {
       scan.free.emplace_back(options.max_distance_m * along.normalized());
     }

@@ -16,6 +16,8 @@ struct HorizonOptions {
   double per_px = 0.0314;       ///< uncertainty per pixel of motion
   double least_shift_px = 3.4;  ///< a pixel's uncertainty is that of one at least so far from the focus of expansion:
                                 ///< a network sees a thing's motion, not a pixel's
+  double saturated = 1.0;  ///< from here on uncertainty grows less than motion does: a thing that shows as much may
+                           ///< be nearer than it reads
   double max_distance_m = 9.0;  ///< further is free
   double min_move_m = 0.12;     ///< between the frames: less shows nothing
   int column_step = 2;          ///< pixels
@@ -29,7 +31,10 @@ using Obstacles = std::vector<Eigen::Vector2d>;
 /// What each column of a map shows.
 struct HorizonScan {
   Obstacles things;  ///< nearer than max_distance_m
+  Obstacles near;    ///< as near as this or nearer, where the map is saturated
   Obstacles free;    ///< columns that show nothing: the point at max_distance_m
+  /// `things`, then `near`.
+  [[nodiscard]] Obstacles all_things() const;
 };
 
 /// The nearest thing of each column of the map: of the mean uncertainty in the band and the mean distance there from

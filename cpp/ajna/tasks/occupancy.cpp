@@ -19,6 +19,7 @@ void validate(const OccupancyOptions& options) {
   require_between("navigate options: occupancy.passed", options.passed, 0.0, 100.0);
   require_between("navigate options: occupancy.sure_m", options.sure_m, 0.1, 1000.0);
   require_between("navigate options: occupancy.clear_share", options.clear_share, 0.0, 1.0);
+  require_between("navigate options: occupancy.clear_near", options.clear_near, 0.0, 1.0);
   require_between("navigate options: occupancy.thickness", options.thickness, 0.0, 1.0);
   require_between("navigate options: occupancy.bound", options.bound, 0.1, 100.0);
   require_between("navigate options: occupancy.blocked", options.blocked, 0.0, options.bound);
@@ -86,13 +87,13 @@ void OccupancyMap::add(const HorizonScan& scan, const Eigen::Vector2d& position_
     one.weight += static_cast<float>(hit ? weight * options_.seen : -options_.passed);
   };
   const double step = options_.cell_m / 2.0;
-  const auto look = [&](const Eigen::Vector2d& point, bool thing) {
+  const auto look = [&](const Eigen::Vector2d& point, bool thing, double clear_share) {
     const double distance = point.norm();
     if (!(distance > 0.0)) {
       return;
     }
     const Eigen::Vector2d along = (point.x() * forward + point.y() * right) / distance;
-    const double passes = std::min((thing ? options_.clear_share : 1.0) * distance, options_.max_range_m);
+    const double passes = std::min(clear_share * distance, options_.max_range_m);
     for (double at = step; at < passes; at += step) {
       mark(at, along, false, 1.0);
     }
@@ -104,10 +105,13 @@ void OccupancyMap::add(const HorizonScan& scan, const Eigen::Vector2d& position_
     }
   };
   for (const auto& point : scan.things) {
-    look(point, true);
+    look(point, true, options_.clear_share);
+  }
+  for (const auto& point : scan.near) {
+    look(point, true, options_.clear_near);
   }
   for (const auto& point : scan.free) {
-    look(point, false);
+    look(point, false, 1.0);
   }
   const auto bound = static_cast<float>(options_.bound);
   for (const std::size_t index : touched_) {

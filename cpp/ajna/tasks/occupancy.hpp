@@ -16,6 +16,7 @@ struct OccupancyOptions {
   double passed = 0.45;      ///< evidence against it, where rays pass
   double sure_m = 4.0;       ///< readings beyond count as sure_m over their distance
   double clear_share = 0.7;  ///< a ray passes so much of the distance that is read: that may be too large
+  double clear_near = 0.0;   ///< where the map is saturated: the reading bounds the distance from above only
   double thickness = 0.15;   ///< a thing is marked so far beyond its distance, as a share of it
   double bound = 3.0;        ///< of the evidence, both ways
   double blocked = 0.8;      ///< a cell with more evidence counts as a thing

@@ -84,6 +84,7 @@ class TrueFlowSignal:
     def adapt(self, options: tasks.SkillOptions) -> None:
         """Pixels of flow, in narrow rims: as strong as the motion itself, which the mean over a band weakens little."""
         options.horizon.floor, options.horizon.per_px, options.horizon.least_shift_px = 0.02, 1.0, 3.0
+        options.horizon.saturated = 1e6
 
 
 class TrueMotionSignal:
@@ -103,7 +104,8 @@ class TrueMotionSignal:
         return lambda first, second, common: self._map(first.tag, first.time_s - second.tag.frame.time_s)
 
     def adapt(self, options: tasks.SkillOptions) -> None:
-        """Changes nothing: the map is made by the law that the skill will read it by."""
+        """The map is made by the law that the skill will read it by, and has no bound."""
+        options.horizon.saturated = 1e6
         self._law = options.horizon
 
     def _map(self, seen: Observation, interval_s: float) -> Map:
