@@ -40,7 +40,8 @@ struct HorizonScan {
 /// The nearest thing of each column of the map: of the mean uncertainty in the band and the mean distance there from
 /// the focus of expansion. A point at depth Z that is r pixels from that focus moves by r b / Z pixels while the camera
 /// moves by b; so with uncertainty Y = floor + per_px (r + least_shift_px) b / Z, the depth is per_px (r +
-/// least_shift_px) b / (Y - floor).
+/// least_shift_px) b / (Y - floor). A column with Y of `saturated` or more goes into `near`: that depth bounds it from
+/// above.
 ///
 /// map: CV_32F, of a pair from which turning is taken out. valid: CV_8U, 0 where the map says nothing; empty: nowhere.
 /// heading_from_camera: rotation, see skills::Attitude. move_m: the camera's motion between the frames, heading frame.
