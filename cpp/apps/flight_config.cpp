@@ -195,6 +195,7 @@ void read_task(YamlSection section, FlightConfig& config) {
   navigate.read("baseline_m", skill.baseline_m);
   navigate.read("longest_baseline_s", skill.longest_baseline_s);
   navigate.read("baseline_share", skill.baseline_share);
+  navigate.read("shortest_baseline_s", skill.shortest_baseline_s);
   navigate.read("camera_ahead_m", skill.corridor.camera_ahead_m);
   navigate.read("floor", skill.navigate.floor);
   navigate.read("blocked", skill.navigate.blocked);

@@ -106,6 +106,7 @@ void bind_horizon(py::module_& m) {
   AJNA_FIELD(per_px);
   AJNA_FIELD(least_shift_px);
   AJNA_FIELD(saturated);
+  AJNA_FIELD(range_moves);
   AJNA_FIELD(max_distance_m);
   AJNA_FIELD(min_move_m);
   AJNA_FIELD(column_step);
@@ -114,8 +115,13 @@ void bind_horizon(py::module_& m) {
   corridor.def(py::init<>());
 #define AJNA_FIELD(name) corridor.def_readwrite(#name, &CorridorOptions::name)
   AJNA_FIELD(half_width_m);
+  AJNA_FIELD(bare_m);
+  AJNA_FIELD(squeeze_m_s);
+  AJNA_FIELD(bare_weight);
   AJNA_FIELD(room_m);
   AJNA_FIELD(fan_rad);
+  AJNA_FIELD(blocked_m);
+  AJNA_FIELD(wide_fan_rad);
   AJNA_FIELD(directions);
   AJNA_FIELD(horizon_m);
   AJNA_FIELD(support);
@@ -190,6 +196,7 @@ void bind_options(py::module_& m) {
   AJNA_FIELD(baseline_m);
   AJNA_FIELD(longest_baseline_s);
   AJNA_FIELD(baseline_share);
+  AJNA_FIELD(shortest_baseline_s);
   AJNA_FIELD(height_gain);
   AJNA_FIELD(largest_slope);
   AJNA_FIELD(gap);

@@ -178,6 +178,11 @@ class CorridorOptions:
     half_width_m: float
     room_m: float
     fan_rad: float
+    bare_m: float
+    squeeze_m_s: float
+    bare_weight: float
+    blocked_m: float
+    wide_fan_rad: float
     directions: int
     horizon_m: float
     support: int
@@ -513,6 +518,7 @@ class HorizonOptions:
     per_px: float
     least_shift_px: float
     saturated: float
+    range_moves: float
     max_distance_m: float
     min_move_m: float
     column_step: int
@@ -933,6 +939,7 @@ class SkillOptions:
     baseline_m: float
     longest_baseline_s: float
     baseline_share: float
+    shortest_baseline_s: float
     height_gain: float
     largest_slope: float
     gap: GapOptions

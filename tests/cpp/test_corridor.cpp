@@ -145,7 +145,7 @@ TEST(Corridor, StraightToTheGoalWhereNothingStands) {
   EXPECT_NEAR(corridor.angle_rad, 0.3, 0.02);
   EXPECT_EQ(corridor.free_m, planner.options().horizon_m);
   EXPECT_EQ(corridor.goal_free_m, planner.options().horizon_m);
-  EXPECT_GT(corridor.speed_m_s, 7.0);
+  EXPECT_GT(corridor.speed_m_s, 5.5);
   CorridorPlanner blind;
   EXPECT_NEAR(blind.plan(std::nullopt, {0, 0}, 0.0, 0.3).angle_rad, 0.3, 0.02) << "nothing is known yet";
 }
@@ -219,6 +219,32 @@ TEST(Corridor, GoesOnFromBesideAThing) {
   EXPECT_GE(corridor.angle_rad, 0.0) << "and not nearer to it";
 }
 
+TEST(Corridor, LooksToTheSidesWhereTheFanIsBlocked) {
+  // At rest before a thing as wide as the fan; to its right, beyond the fan, the way is free.
+  const double fan = CorridorOptions{}.fan_rad;
+  HorizonScan scan;
+  for (double angle = -1.5; angle <= fan + 0.1; angle += 0.01) {
+    scan.things.emplace_back(0.6 * std::cos(angle), 0.6 * std::sin(angle));
+  }
+  CorridorPlanner planner;
+  const Corridor corridor = seen(planner, scan);
+  EXPECT_GT(corridor.angle_rad, fan);
+  EXPECT_LE(corridor.angle_rad, planner.options().wide_fan_rad);
+  EXPECT_GT(corridor.free_m, planner.options().blocked_m);
+  CorridorOptions narrow;
+  narrow.wide_fan_rad = fan;
+  CorridorPlanner stuck(narrow);
+  EXPECT_LT(seen(stuck, scan).free_m, planner.options().blocked_m);
+  planner.reset();
+  Corridor moving;
+  for (int i = 0; i < 5; ++i) {
+    moving = planner.plan(scan, {0, 0}, 0.0, 0.0, {2.0, 0.0});
+  }
+  EXPECT_LE(moving.angle_rad, fan + 1e-9) << "a vehicle under way does not turn to what it does not see";
+  narrow.wide_fan_rad = 4.0;
+  EXPECT_THROW(CorridorPlanner{narrow}, Error);
+}
+
 /// How near the vehicle's middle comes to a thing 0.6 m long beside it, when it flies as it is told, 30 times a second.
 double nearest_of_a_flight_past(double crowd_weight) {
   CorridorOptions options;
@@ -253,11 +279,25 @@ TEST(Corridor, KeepsFurtherFromWhatItPasses) {
 TEST(Corridor, FliesThroughTheMiddleOfAGap) {
   CorridorPlanner planner;
   HorizonScan scan = trunk(2.0, -1.0, 0.6);
-  const HorizonScan other = trunk(2.0, 0.7, 0.6);
+  const HorizonScan other = trunk(2.0, 0.6, 0.6);
   scan.things.insert(scan.things.end(), other.things.begin(), other.things.end());
   const Corridor corridor = seen(planner, scan, 0.0, 10);
   EXPECT_LT(corridor.angle_rad, 0.0) << "the goal's own line would pass nearer to the right one";
   EXPECT_GT(corridor.angle_rad, -0.2);
+}
+
+TEST(Corridor, SqueezesSlowlyThroughWhatIsHardlyWiderThanTheVehicle) {
+  CorridorOptions options;
+  options.half_width_m = 0.6;
+  CorridorPlanner planner(options);
+  HorizonScan scan = trunk(2.0, -1.05, 1.3);
+  const HorizonScan other = trunk(2.0, 1.05, 1.3);
+  scan.things.insert(scan.things.end(), other.things.begin(), other.things.end());
+  const Corridor corridor = seen(planner, scan, 0.0, 10);
+  ASSERT_LT(corridor.free_m, 2.0) << "0.8 m: too narrow to pass with room to spare";
+  EXPECT_GT(corridor.bare_m, 4.0);
+  EXPECT_GE(corridor.speed_m_s, planner.options().squeeze_m_s);
+  EXPECT_NEAR(corridor.angle_rad, 0.0, 0.1);
 }
 
 TEST(Corridor, SlowsDownBeforeAWall) {

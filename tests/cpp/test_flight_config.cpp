@@ -78,6 +78,8 @@ TEST(FlightConfig, TheDocumentedExampleIsValidAndStatesTheDefaults) {
   EXPECT_EQ(example.skill.horizon.least_shift_px, plain.skill.horizon.least_shift_px);
   EXPECT_EQ(example.skill.horizon.saturated, plain.skill.horizon.saturated);
   EXPECT_EQ(example.skill.baseline_share, plain.skill.baseline_share);
+  EXPECT_EQ(example.skill.baseline_m, plain.skill.baseline_m);
+  EXPECT_EQ(example.skill.shortest_baseline_s, plain.skill.shortest_baseline_s);
   EXPECT_EQ(example.skill.corridor.camera_ahead_m, plain.skill.corridor.camera_ahead_m);
   EXPECT_EQ(example.skill.gap_policy.forward_m_s, plain.skill.gap_policy.forward_m_s);
   EXPECT_EQ(example.skill.last_look_s, plain.skill.last_look_s);

@@ -43,15 +43,15 @@ cv::Mat wall(const Eigen::Matrix3d& heading_from_camera, const Eigen::Vector3d& 
 }
 
 TEST(Horizon, DistancesOfAWallHoweverTheCameraIsTilted) {
-  const Eigen::Vector3d move(0.4, 0.1, 0.0);
+  const Eigen::Vector3d move(0.8, 0.2, 0.0);
   for (const double roll : {0.0, 0.5}) {
     for (const double pitch : {0.0, -0.3}) {
       const Eigen::Matrix3d attitude = Eigen::AngleAxisd(pitch, Eigen::Vector3d::UnitY()) *
                                        Eigen::AngleAxisd(roll, Eigen::Vector3d::UnitX()).toRotationMatrix() * level();
       const auto found = horizon_scan(wall(attitude, move, 4.0), {}, attitude, kFov, move);
       ASSERT_TRUE(found) << roll << " " << pitch;
-      EXPECT_GT(found->things.size(), 100U);
-      for (const auto& thing : found->things) {
+      EXPECT_GT(found->all_things().size(), 100U);
+      for (const auto& thing : found->all_things()) {
         // Near the focus of expansion most of the band is further from it than the horizon: that errs to the near side.
         const double off = std::abs(std::atan2(thing.y(), thing.x()) - std::atan2(move.y(), move.x()));
         EXPECT_LT(thing.x(), 4.4) << roll << " " << pitch;
@@ -89,8 +89,21 @@ TEST(Horizon, CertainIsFree) {
   EXPECT_TRUE(found->things.empty());
   EXPECT_EQ(found->free.size(), static_cast<std::size_t>(kWidth / HorizonOptions{}.column_step));
   for (const auto& point : found->free) {
-    EXPECT_NEAR(point.norm(), HorizonOptions{}.max_distance_m, 1e-9);
+    EXPECT_NEAR(point.norm(), 10.0 * 0.4, 1e-9) << "further away a thing would move too little to be seen";
   }
+  const auto longer = horizon_scan(map, {}, level(), kFov, {1.0, 0, 0});
+  ASSERT_TRUE(longer && !longer->free.empty());
+  EXPECT_NEAR(longer->free.front().norm(), HorizonOptions{}.max_distance_m, 1e-9);
+}
+
+TEST(Horizon, BeyondItsRangeAThingIsNotSeen) {
+  const Eigen::Vector3d move(0.4, 0.1, 0.0);
+  const auto found = horizon_scan(wall(level(), move, 5.0), {}, level(), kFov, move);
+  ASSERT_TRUE(found);
+  for (const auto& thing : found->all_things()) {
+    EXPECT_LE(thing.norm(), 10.0 * move.norm()) << "near the focus of expansion the wall reads nearer";
+  }
+  EXPECT_GT(found->free.size(), 100U);
 }
 
 TEST(Horizon, SaysWhereItSeesNothing) {

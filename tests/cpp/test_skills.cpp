@@ -136,38 +136,35 @@ TEST_F(SkillTest, AFailedSignalIsToldAndTheFrameKept) {
 TEST_F(SkillTest, NavigatePairsSpanTheBaselineWithoutTurning) {
   const auto skill = make(Task::kNavigate);
   const SkillOptions defaults;
-  const double baseline_s = defaults.baseline_m / defaults.navigate_policy.speed_m_s;
-  ASSERT_GT(baseline_s, defaults.baseline_s);
-  ASSERT_LT(baseline_s, defaults.longest_baseline_s);
-  for (int i = 0; i < 12; ++i) {
+  const double baseline_s = defaults.longest_baseline_s;  // at rest
+  for (int i = 0; i < 15; ++i) {
     skill->plan(at(i / 30.0));
   }
-  ASSERT_EQ(asked.size(), 11U);
+  ASSERT_EQ(asked.size(), 14U);
   EXPECT_NEAR(asked.back().first_s - asked.back().second_s, baseline_s, 1e-9);
   // A late frame: the pair is longer, not missing.
-  skill->plan(at(11 / 30.0 + baseline_s + 0.02));
+  skill->plan(at(14 / 30.0 + baseline_s + 0.02));
   EXPECT_NEAR(asked.back().first_s - asked.back().second_s, baseline_s + 0.02, 1e-9);
   EXPECT_EQ(asked.back().common, CommonMotion::kRotation);
 }
 
-TEST_F(SkillTest, NavigatePairsAreShorterWhereSomethingIsNear) {
-  const auto fly = [&](double uncertainty) {
+TEST_F(SkillTest, NavigatePairsAreShorterWhereSomethingIsNearAndLongerForASlowVehicle) {
+  const auto fly = [&](double uncertainty, double speed_m_s) {
     map = cv::Mat(kHeight, kWidth, CV_32F, cv::Scalar(uncertainty));
     const auto skill = make(Task::kNavigate);
     asked.clear();
     for (int i = 0; i < 20; ++i) {
       SkillInput input = at(i / 30.0);
-      input.velocity_m_s = Eigen::Vector3d(2.0, 0.0, 0.0);
+      input.velocity_m_s = Eigen::Vector3d(speed_m_s, 0.0, 0.0);
       skill->plan(input);
     }
     return asked.back().first_s - asked.back().second_s;
   };
   const SkillOptions defaults;
-  const double far_s = fly(0.1);
-  EXPECT_NEAR(far_s, defaults.baseline_m / defaults.navigate_policy.speed_m_s, 0.02);
-  const double near_s = fly(1.5);
-  EXPECT_LT(near_s, far_s - 0.05);
-  EXPECT_NEAR(near_s, defaults.baseline_s, 0.02) << "no less than this, however near";
+  EXPECT_NEAR(fly(0.1, 4.0), defaults.baseline_s, 0.02);
+  EXPECT_NEAR(fly(0.1, 1.2), defaults.baseline_m / 1.2, 0.02);
+  EXPECT_NEAR(fly(0.1, 0.5), defaults.longest_baseline_s, 0.02) << "no longer, however slow";
+  EXPECT_NEAR(fly(1.5, 4.0), defaults.shortest_baseline_s, 0.02) << "no shorter, however near";
 }
 
 TEST_F(SkillTest, NavigateSetsOutOnceWithoutAPair) {

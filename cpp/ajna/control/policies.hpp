@@ -55,7 +55,7 @@ struct NavigatePolicyOptions {
   PidOptions yaw;                      ///< rad/s per rad between heading and desired direction
   double max_acceleration_m_s2 = 8.0;  ///< of the command
   double max_forward_m_s2 = 3.5;       ///< of it forwards: what is more tilts the camera until it sees but the ground
-  double speed_up_s = 1.37;     ///< cruise speed is not reached sooner: what is near must be seen before it is hit
+  double speed_up_s = 2.0;      ///< cruise speed is not reached sooner: what is near must be seen before it is hit
   double max_jerk_m_s3 = 25.0;  ///< of the command: what is harder turns the camera, and blurs
   double lookahead_s = 1.0;     ///< without an answer for this long the policy holds
   double weave = 0.125;   ///< sideways swing of a vehicle with known velocity, as a share of the cruise speed: what it

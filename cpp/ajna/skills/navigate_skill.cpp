@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "ajna/geometry/camera.hpp"
+#include "ajna/skills/dead_reckoning.hpp"
 #include "ajna/skills/skill_parts.hpp"
 
 namespace ajna::skills {
@@ -31,10 +32,9 @@ class NavigateSkill final : public Skill {
   NavigateSkill(const SkillOptions& options, Signal signal)
       : options_(options),
         signal_(std::move(signal)),
-        baseline_s_(std::max(options.baseline_s, std::min(options.baseline_m / options.navigate_policy.speed_m_s,
-                                                          options.longest_baseline_s))),
-        max_age_s_(std::max(options.max_interval_s, 1.5 * baseline_s_)),
+        max_age_s_(std::max(options.max_interval_s, 1.5 * options.longest_baseline_s)),
         memory_(max_age_s_),
+        way_(options.corridor.camera_ahead_m, max_age_s_),
         pipeline_(pipeline_options(options)),
         planner_(options.corridor, options.occupancy),
         policy_(options.navigate_policy) {
@@ -46,8 +46,7 @@ class NavigateSkill final : public Skill {
     planner_.reset();
     policy_.reset();
     goal_yaw_rad_.reset();
-    position_m_.setZero();
-    moved_s_.reset();
+    way_.reset();
     chosen_.reset();
     close_m_.reset();
     first_ = true;
@@ -64,7 +63,11 @@ class NavigateSkill final : public Skill {
     SkillOutput output;
     const Attitude attitude = input.attitude.value_or(Attitude{});
     const Eigen::Vector3d goal = levelled(goal_of(input), input.too_high_m);
-    move(now.captured_s, input);
+    if (measured(input)) {
+      way_.move(now.captured_s, attitude.yaw_rad, *input.velocity_m_s);
+    } else {
+      way_.lose();
+    }
     const Snapshot* before = memory_.find(now.captured_s, interval_s(input), max_age_s_);
     const bool first = std::exchange(first_, false);
     if (before == nullptr || !same_size(now, *before)) {
@@ -84,7 +87,7 @@ class NavigateSkill final : public Skill {
     if (measured(input)) {
       const bool blurred = before->attitude && turn_between(*before->attitude, attitude) >
                                                    options_.max_turn_rad_s * (now.captured_s - before->captured_s);
-      if (blurred || !fly_corridor(seen, now.captured_s - before->captured_s, goal, input, output)) {
+      if (blurred || !fly_corridor(seen, before->captured_s, goal, input, output)) {
         // Nothing is to be seen of the way: the last answer stands for a while.
         output.status = blurred ? "turning" : "unseen";
         output.command = policy_.update(remembered(goal, attitude, input.too_high_m, now.captured_s), now.captured_s,
@@ -117,17 +120,20 @@ class NavigateSkill final : public Skill {
     return input.attitude && input.velocity_m_s && input.velocity_m_s->allFinite();
   }
 
-  /// How far apart the frames of a pair should be: closer together where something is near.
+  /// How far apart the frames of a pair should be: further while the vehicle is slow, less where something is near.
   [[nodiscard]] double interval_s(const SkillInput& input) const {
+    const double speed =
+        std::max(measured(input) ? input.velocity_m_s->norm() : options_.navigate_policy.speed_m_s, 1e-3);
+    const double interval = std::clamp(options_.baseline_m / speed, options_.baseline_s, options_.longest_baseline_s);
     if (!measured(input) || !close_m_) {
-      return baseline_s_;
+      return interval;
     }
-    const double speed = std::max(input.velocity_m_s->norm(), 1e-3);
-    return std::clamp(options_.baseline_share * *close_m_ / speed, options_.baseline_s, baseline_s_);
+    const double shortest = std::min(options_.shortest_baseline_s, interval);
+    return std::clamp(options_.baseline_share * *close_m_ / speed, shortest, interval);
   }
 
   /// Choose a corridor between the things that the map shows along the horizon; false where it shows nothing.
-  bool fly_corridor(const SignalMap& seen, double interval_s, const Eigen::Vector3d& goal, const SkillInput& input,
+  bool fly_corridor(const SignalMap& seen, double before_s, const Eigen::Vector3d& goal, const SkillInput& input,
                     SkillOutput& output) {
     const Attitude& attitude = *input.attitude;
     const double time_s = input.captured_s;
@@ -136,14 +142,17 @@ class NavigateSkill final : public Skill {
       return false;
     }
     output.status = tasks::to_string(tasks::NavigateStatus::kOk);
+    // A vehicle that speeds up has come less far than its present velocity says.
+    const Eigen::Vector3d moved_m =
+        way_.moved_since(before_s).value_or((input.captured_s - before_s) * *input.velocity_m_s);
     const auto scan = tasks::horizon_scan(map, seen.valid, attitude.heading_from_camera, options_.horizontal_fov_rad,
-                                          interval_s * *input.velocity_m_s, options_.horizon);
-    if (!scan && input.velocity_m_s->norm() * interval_s >= options_.horizon.min_move_m) {
+                                          moved_m, options_.horizon);
+    if (!scan && moved_m.norm() >= options_.horizon.min_move_m) {
       return false;
     }
     // At rest there is nothing to be seen: what the map holds counts.
-    const auto corridor = planner_.plan(scan, position_m_, attitude.yaw_rad, std::atan2(goal.y(), goal.x()),
-                                        input.velocity_m_s->head<2>());
+    const auto corridor = planner_.plan(scan, way_.position_m().head<2>(), attitude.yaw_rad,
+                                        std::atan2(goal.y(), goal.x()), input.velocity_m_s->head<2>());
     const Eigen::Vector3d free =
         levelled({std::cos(corridor.angle_rad), std::sin(corridor.angle_rad), 0.0}, input.too_high_m);
     const control::Guidance guidance{goal, free, weight_of(corridor), corridor.speed_m_s};
@@ -191,19 +200,6 @@ class NavigateSkill final : public Skill {
                                     1.0 / far, 1.0 / far);
   }
 
-  /// Dead reckoning: for things that are remembered for less than a second.
-  void move(double time_s, const SkillInput& input) {
-    constexpr double kLongest_s = 0.5;
-    if (moved_s_ && measured(input)) {
-      const double dt_s = std::clamp(time_s - *moved_s_, 0.0, kLongest_s);
-      const double c = std::cos(input.attitude->yaw_rad);
-      const double s = std::sin(input.attitude->yaw_rad);
-      const Eigen::Vector3d& v = *input.velocity_m_s;
-      position_m_ += dt_s * Eigen::Vector2d(c * v.x() - s * v.y(), s * v.x() + c * v.y());
-    }
-    moved_s_ = time_s;
-  }
-
   /// The way to the goal in the heading frame: as given, or a fixed bearing.
   Eigen::Vector3d goal_of(const SkillInput& input) {
     if (input.goal) {
@@ -238,15 +234,13 @@ class NavigateSkill final : public Skill {
 
   SkillOptions options_;
   Signal signal_;
-  double baseline_s_;
   double max_age_s_;
   Memory memory_;
+  DeadReckoning way_;
   tasks::NavigatePipeline pipeline_;
   tasks::CorridorPlanner planner_;
   control::NavigatePolicy policy_;
   std::optional<double> goal_yaw_rad_;
-  Eigen::Vector2d position_m_ = Eigen::Vector2d::Zero();  ///< north, east, since the beginning
-  std::optional<double> moved_s_;
   std::optional<Chosen> chosen_;
   std::optional<double> close_m_;  ///< to the nearest thing ahead
   bool first_ = true;

@@ -52,8 +52,9 @@ void validate(const SkillOptions& options) {
   require_between("task.dodge_pair_s", options.dodge_pair_s, 0.0, options.max_interval_s);
   require_between("task.baseline_s", options.baseline_s, 0.005, 0.5);
   require_between("task.baseline_m", options.baseline_m, 0.0, 10.0);
-  require_between("task.longest_baseline_s", options.longest_baseline_s, 0.005, 2.0);
+  require_between("task.longest_baseline_s", options.longest_baseline_s, options.baseline_s, 2.0);
   require_between("task.baseline_share", options.baseline_share, 0.05, 1000.0);
+  require_between("task.shortest_baseline_s", options.shortest_baseline_s, 0.005, 2.0);
   require_between("task.max_turn_rad_s", options.max_turn_rad_s, 0.1, 100.0);
   require_between("task.height_gain", options.height_gain, 0.0, 10.0);
   require_between("task.largest_slope", options.largest_slope, 0.0, 1.0);

@@ -42,12 +42,13 @@ struct SkillOptions {
   tasks::CorridorOptions corridor;    ///< ... and
   tasks::NavigateOptions navigate;    ///< where they are not
   control::NavigatePolicyOptions navigate_policy;
-  double max_turn_rad_s = 2.5;  ///< frames of a faster turn are blurred: the last answer stands for lookahead_s
-  double baseline_s = 0.2;      ///< between the frames of a pair, at least: what is near has then moved by some pixels
-  double baseline_m = 0.9;      ///< way at cruise speed between them, for slower vehicles ...
-  double longest_baseline_s = 0.4;  ///< ... but no more than this: after that a turn has left little in common
-  double baseline_share = 0.4;  ///< of a slower vehicle less, if the way is a larger share of the distance to what is
-                                ///< nearest in the fan: what has moved further is saturated
+  double max_turn_rad_s = 2.5;       ///< frames of a faster turn are blurred: the last answer stands for lookahead_s
+  double baseline_s = 0.2;           ///< between the frames of a pair: what is near has then moved by some pixels ...
+  double baseline_m = 0.4;           ///< ... longer while the vehicle moves less than this in it ...
+  double longest_baseline_s = 0.4;   ///< ... but no longer: after that a turn has left little in common
+  double baseline_share = 0.3;       ///< shorter where the way is a larger share of the distance to what is nearest in
+                                     ///< the fan: what has moved further is saturated ...
+  double shortest_baseline_s = 0.1;  ///< ... but no shorter
   double height_gain = 0.4;  ///< downward part of the direction per metre too high; only level directions are followed
   double largest_slope = 0.3;  ///< of that part
 

@@ -14,14 +14,20 @@ namespace {
 
 constexpr double kPixel_m = 0.1;   // of the picture of clearances
 constexpr double kBehind_m = 1.0;  // behind the camera's plane, but still beside the vehicle
+constexpr double kResting_m_s = 0.5;
 
 }  // namespace
 
 void validate(const CorridorOptions& options) {
   require_between("navigate options: corridor.half_width_m", options.half_width_m, 0.05, 10.0);
+  require_between("navigate options: corridor.bare_m", options.bare_m, 0.05, options.half_width_m);
+  require_between("navigate options: corridor.squeeze_m_s", options.squeeze_m_s, 0.0, 10.0);
+  require_between("navigate options: corridor.bare_weight", options.bare_weight, 0.0, 10.0);
   require_between("navigate options: corridor.room_m", options.room_m, 0.0, 10.0);
   require_between("navigate options: corridor.fan_rad", options.fan_rad, 0.05, 1.5);
   require_between("navigate options: corridor.directions", options.directions, 3, 1001);
+  require_between("navigate options: corridor.blocked_m", options.blocked_m, 0.0, 100.0);
+  require_between("navigate options: corridor.wide_fan_rad", options.wide_fan_rad, 0.05, M_PI);
   require_between("navigate options: corridor.horizon_m", options.horizon_m, 1.0, 1000.0);
   require_between("navigate options: corridor.support", options.support, 1, 1000);
   require_between("navigate options: corridor.room_weight", options.room_weight, 0.0, 10.0);
@@ -50,10 +56,20 @@ void CorridorPlanner::reset() noexcept {
 }
 
 double CorridorPlanner::clearance(const Eigen::Vector2d& point_m) const {
-  const int row = cvRound((point_m.y() + options_.horizon_m) / kPixel_m);
-  const int column = cvRound((point_m.x() + kBehind_m) / kPixel_m);
-  const bool known = row >= 0 && row < clearance_.rows && column >= 0 && column < clearance_.cols;
-  return known ? static_cast<double>(clearance_.at<float>(row, column)) : options_.horizon_m;
+  const double y = (point_m.y() + options_.horizon_m) / kPixel_m;
+  const double x = (point_m.x() + kBehind_m) / kPixel_m;
+  const int row = cvFloor(y);
+  const int column = cvFloor(x);
+  if (row < 0 || row + 1 >= clearance_.rows || column < 0 || column + 1 >= clearance_.cols) {
+    return options_.horizon_m;
+  }
+  const auto at = [&](int down, int right) {
+    return static_cast<double>(clearance_.at<float>(row + down, column + right));
+  };
+  const double right = x - column;
+  const double down = y - row;
+  return (1.0 - down) * ((1.0 - right) * at(0, 0) + right * at(0, 1)) +
+         down * ((1.0 - right) * at(1, 0) + right * at(1, 1));
 }
 
 void CorridorPlanner::measure() {
@@ -89,12 +105,14 @@ CorridorPlanner::Free CorridorPlanner::free_length(double angle_rad, const Eigen
   const Eigen::Vector2d wanted = speed * Eigen::Vector2d(std::cos(angle_rad), std::sin(angle_rad));
   Eigen::Vector2d velocity = velocity_m_s;
   Eigen::Vector2d at(-options_.camera_ahead_m, 0.0);
+  const bool resting = velocity_m_s.norm() < kResting_m_s;
   double reached = clearance(at);
   double along = 0.0;
-  Free free{options_.horizon_m, options_.horizon_m};
+  Free free{options_.horizon_m, options_.horizon_m, options_.horizon_m};
   const double wide = options_.half_width_m + options_.room_m;
   for (double time_s = dt_s; along < options_.horizon_m; time_s += dt_s) {
-    if (time_s > options_.lag_s) {
+    const bool turning = time_s > options_.lag_s;
+    if (turning) {
       Eigen::Vector2d change = options_.turn_per_s * (wanted - velocity);
       change *= std::min(1.0, options_.turn_m_s2 / std::max(change.norm(), 1e-9));
       velocity += dt_s * change;
@@ -102,16 +120,23 @@ CorridorPlanner::Free CorridorPlanner::free_length(double angle_rad, const Eigen
     at += dt_s * velocity;
     along += dt_s * std::max(velocity.norm(), 0.3 * speed);
     const double here = clearance(at);
-    reached = std::max(reached, here);
+    // A vehicle that hardly moves drifts nearer by some centimetres, whatever is chosen: that must not block all ways.
+    reached = resting && !turning ? here : std::max(reached, here);
     if (along <= options_.need_m) {
       const double taken = std::max(0.0, 1.0 - here / wide);
       free.crowd += taken * taken * kStep_m / options_.need_m;
     }
-    if (here < std::min(wide, reached - kNearer_m)) {
-      free.wide_m = std::min(free.wide_m, along);
-    }
-    if (here < std::min(options_.half_width_m, reached - kNearer_m)) {
-      free.narrow_m = along;
+    const double nearer = reached - kNearer_m;
+    const auto end = [&](double width_m, double& length_m) {
+      if (here < std::min(width_m, nearer)) {
+        length_m = std::min(length_m, along);
+      }
+    };
+    end(wide, free.wide_m);
+    end(options_.half_width_m, free.narrow_m);
+    end(options_.bare_m, free.bare_m);
+    if (free.bare_m <= along) {
+      free.crowd += std::max(0.0, 1.0 - along / options_.need_m);  // nor is there room behind it
       break;
     }
   }
@@ -136,21 +161,35 @@ Corridor CorridorPlanner::plan(const std::optional<HorizonScan>& scan, const Eig
   const double goal = std::clamp(goal_rad, -M_PI / 2, M_PI / 2);
   const double last = last_rad_ ? std::remainder(*last_rad_ - yaw_rad, 2.0 * M_PI) : goal;
   double best_score = -std::numeric_limits<double>::infinity();
-  for (int i = 0; i < options_.directions; ++i) {
-    const double angle = options_.fan_rad * (2.0 * i / (options_.directions - 1) - 1.0);
+  const auto consider = [&](double angle) {
     const Free free = free_length(angle, velocity_m_s);
     const double score = (free.narrow_m + options_.room_weight * free.wide_m) / options_.horizon_m -
                          options_.goal_weight * std::abs(angle - goal) - options_.keep_weight * std::abs(angle - last) -
                          options_.need_weight * std::max(0.0, 1.0 - free.narrow_m / options_.need_m) -
+                         options_.bare_weight * std::max(0.0, 1.0 - free.bare_m / options_.need_m) -
                          options_.crowd_weight * free.crowd;
     if (score > best_score) {
       best_score = score;
       best.angle_rad = angle;
       best.free_m = free.narrow_m;
+      best.bare_m = free.bare_m;
+    }
+  };
+  const double step = 2.0 * options_.fan_rad / (options_.directions - 1);
+  for (int i = 0; i < options_.directions; ++i) {
+    consider(i * step - options_.fan_rad);
+  }
+  if (best.free_m < options_.blocked_m && velocity_m_s.norm() < kResting_m_s) {
+    for (double angle = options_.fan_rad + step; angle <= options_.wide_fan_rad; angle += step) {
+      consider(angle);
+      consider(-angle);
     }
   }
   best.goal_free_m = free_length(goal, velocity_m_s).narrow_m;
-  best.speed_m_s = std::sqrt(2.0 * options_.brake_m_s2 * std::max(best.free_m - options_.stop_m, 0.0));
+  const auto braked = [&](double within_m) {
+    return std::sqrt(2.0 * options_.brake_m_s2 * std::max(within_m - options_.stop_m, 0.0));
+  };
+  best.speed_m_s = std::max(braked(best.free_m), std::min(braked(best.bare_m), options_.squeeze_m_s));
   last_rad_ = yaw_rad + best.angle_rad;
   return best;
 }

@@ -48,6 +48,7 @@ void validate(const HorizonOptions& options) {
   require_between("navigate options: horizon.least_shift_px", options.least_shift_px, 0.0, 1000.0);
   require_between("navigate options: horizon.saturated", options.saturated, options.floor, 1e6);
   require_between("navigate options: horizon.max_distance_m", options.max_distance_m, 1.0, 1000.0);
+  require_between("navigate options: horizon.range_moves", options.range_moves, 1.0, 1e6);
   require_between("navigate options: horizon.min_move_m", options.min_move_m, 1e-3, 10.0);
   require_between("navigate options: horizon.column_step", options.column_step, 1, 64);
 }
@@ -75,6 +76,7 @@ std::optional<HorizonScan> horizon_scan(const cv::Mat& map, const cv::Mat& valid
   if (!focus) {
     return std::nullopt;
   }
+  const double range = std::min(options.max_distance_m, options.range_moves * move);
   HorizonScan scan;
   int columns = 0;
   int seen = 0;
@@ -105,10 +107,10 @@ std::optional<HorizonScan> horizon_scan(const cv::Mat& map, const cv::Mat& valid
     const Eigen::Vector2d normalized = camera.normalize(pixel);
     const Eigen::Vector3d ray = heading_from_camera * Eigen::Vector3d(normalized.x(), normalized.y(), 1.0);
     const Eigen::Vector2d along = ray.head<2>();
-    if (depth * along.norm() <= options.max_distance_m) {
+    if (depth * along.norm() <= range) {
       (excess + options.floor >= options.saturated ? scan.near : scan.things).emplace_back(depth * along);
     } else {
-      scan.free.emplace_back(options.max_distance_m * along.normalized());
+      scan.free.emplace_back(range * along.normalized());
     }
   }
   return 2 * seen >= columns ? std::optional(scan) : std::nullopt;

@@ -18,7 +18,9 @@ struct HorizonOptions {
                                 ///< a network sees a thing's motion, not a pixel's
   double saturated = 1.0;  ///< from here on uncertainty grows less than motion does: a thing that shows as much may
                            ///< be nearer than it reads
-  double max_distance_m = 9.0;  ///< further is free
+  double max_distance_m = 9.0;  ///< further is free ...
+  double range_moves = 10.0;    ///< ... and so far is all that the map tells of: what is further than so many times
+                                ///< the camera's motion moves too little in the picture
   double min_move_m = 0.12;     ///< between the frames: less shows nothing
   int column_step = 2;          ///< pixels
 };
@@ -30,9 +32,9 @@ using Obstacles = std::vector<Eigen::Vector2d>;
 
 /// What each column of a map shows.
 struct HorizonScan {
-  Obstacles things;  ///< nearer than max_distance_m
+  Obstacles things;  ///< within range
   Obstacles near;    ///< as near as this or nearer, where the map is saturated
-  Obstacles free;    ///< columns that show nothing: the point at max_distance_m
+  Obstacles free;    ///< columns that show nothing there: the point at the end of the range
   /// `things`, then `near`.
   [[nodiscard]] Obstacles all_things() const;
 };
@@ -41,7 +43,7 @@ struct HorizonScan {
 /// the focus of expansion. A point at depth Z that is r pixels from that focus moves by r b / Z pixels while the camera
 /// moves by b; so with uncertainty Y = floor + per_px (r + least_shift_px) b / Z, the depth is per_px (r +
 /// least_shift_px) b / (Y - floor). A column with Y of `saturated` or more goes into `near`: that depth bounds it from
-/// above.
+/// above. The range is max_distance_m, or range_moves times the camera's motion where that is less.
 ///
 /// map: CV_32F, of a pair from which turning is taken out. valid: CV_8U, 0 where the map says nothing; empty: nowhere.
 /// heading_from_camera: rotation, see skills::Attitude. move_m: the camera's motion between the frames, heading frame.

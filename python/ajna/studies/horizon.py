@@ -127,7 +127,7 @@ def columns_of(
     open_law = tasks.HorizonOptions()
     open_law.band, open_law.column_step, open_law.min_move_m = options.band, options.column_step, options.min_move_m
     open_law.floor, open_law.per_px, open_law.least_shift_px, open_law.max_distance_m = 0.0, 1e-3, 1.0, 1000.0
-    open_law.saturated = 1e6  # all in one list, in the columns' order
+    open_law.saturated = open_law.range_moves = 1e6  # all in one list, in the columns' order
     inverse = np.where(np.isfinite(depth), 1.0 / np.maximum(depth, 1e-3), 0.0)
     move = float(np.linalg.norm(move_m))
     # Above zero everywhere, or a column would be let out and the lists would not match. The first, equal in all
@@ -193,12 +193,19 @@ class _Recorder:
             np.asarray(self._source(now, before, "rotation")),
             seen.frame.depth,
             seen.heading_from_camera,
-            seen.velocity_m_s * interval_s,
+            _moved(seen, earlier),
             self._options.horizon,
             self._fov_rad,
         )
         if found is not None:
             to.append(found)
+
+
+def _moved(seen: Observation, earlier: Observation) -> Floats:
+    """The camera's way between two frames, heading frame of the later one."""
+    pose = seen.frame.T_world_camera
+    way = pose[:3, 3] - earlier.frame.T_world_camera[:3, 3]
+    return np.asarray(seen.heading_from_camera @ (pose[:3, :3].T @ way))
 
 
 def _turn(a: Observation, b: Observation) -> float:

@@ -101,16 +101,17 @@ class TrueMotionSignal:
 
     def source(self, camera: CameraModel) -> Source:
         """Reads depth, attitude and velocity from the observations that the snapshots are tagged with."""
-        return lambda first, second, common: self._map(first.tag, first.time_s - second.tag.frame.time_s)
+        return lambda first, second, common: self._map(first.tag, second.tag)
 
     def adapt(self, options: tasks.SkillOptions) -> None:
         """The map is made by the law that the skill will read it by, and has no bound."""
         options.horizon.saturated = 1e6
         self._law = options.horizon
 
-    def _map(self, seen: Observation, interval_s: float) -> Map:
+    def _map(self, seen: Observation, before: Observation) -> Map:
         camera, law = seen.frame.camera, self._law
-        move = seen.heading_from_camera.T @ seen.velocity_m_s * interval_s
+        pose = seen.frame.T_world_camera
+        move = pose[:3, :3].T @ (pose[:3, 3] - before.frame.T_world_camera[:3, 3])
         focus, ahead = camera.project(move)
         if not ahead > 0:  # backwards or at rest: the skill looks at no map then
             return np.full(seen.frame.depth.shape, law.floor, np.float32)
