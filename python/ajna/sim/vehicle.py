@@ -12,12 +12,22 @@ from numpy.typing import NDArray
 
 from ajna.sim.render import CAMERA, VEHICLE_GROUP
 
-__all__ = ["GRAVITY", "STEP_S", "VEHICLE", "Command", "VehicleConfig", "VehicleController", "add_vehicle"]
+__all__ = [
+    "CAMERA_AHEAD_M",
+    "GRAVITY",
+    "STEP_S",
+    "VEHICLE",
+    "Command",
+    "VehicleConfig",
+    "VehicleController",
+    "add_vehicle",
+]
 
 VEHICLE = "vehicle"
 STEP_S = 1 / 600  # of the physics
 CONTROL_EVERY = 2  # physics steps per controller step
 GRAVITY = 9.81
+CAMERA_AHEAD_M = 0.1  # of the body's middle
 Floats = NDArray[np.float64]
 
 
@@ -106,7 +116,7 @@ def add_vehicle(spec: Any, config: VehicleConfig, camera_pitch_rad: float = 0.0)
     rotation = np.array([[0.0, -s, -c], [-1.0, 0.0, 0.0], [0.0, c, -s]])
     quat = np.empty(4)
     mujoco.mju_mat2Quat(quat, rotation.ravel())
-    body.add_camera(name=CAMERA, pos=[0.1, 0, 0], quat=quat)
+    body.add_camera(name=CAMERA, pos=[CAMERA_AHEAD_M, 0, 0], quat=quat)
 
 
 def _cross(a: Floats, b: Floats) -> Floats:

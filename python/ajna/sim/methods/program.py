@@ -23,7 +23,7 @@ from ajna.flight_program import SpoolFolder, find_program, is_ready, memory_fold
 from ajna.model import checkpoint_path
 from ajna.sim.methods.skills import COAST_S, Autopilot
 from ajna.sim.observation import Observation, Output, TaskSetup
-from ajna.sim.vehicle import Command
+from ajna.sim.vehicle import CAMERA_AHEAD_M, Command
 
 __all__ = ["FlightProgram"]
 
@@ -53,7 +53,7 @@ task:
   kind: {task}
   horizontal_fov_rad: {fov}
   planning_rate_hz: {rate}
-  navigate: {{speed_m_s: {speed}}}
+  navigate: {{speed_m_s: {speed}, camera_ahead_m: {ahead}}}
   gap: {{forward_m_s: {speed}, coast_m_s: {speed}, coast_duration_s: {coast}}}
 log: {{folder: "{log}"}}
 simulation: {{time_scale: {scale}}}
@@ -135,6 +135,7 @@ class FlightProgram:
                 fov=camera.horizontal_fov_rad,
                 rate=camera.rate_hz,
                 speed=max(setup.speed_m_s, 0.1),
+                ahead=CAMERA_AHEAD_M,
                 coast=COAST_S,
                 log=log,
                 scale=self._scale,

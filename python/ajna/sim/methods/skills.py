@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ajna import tasks
 from ajna.sim.methods.signals import Signal, Source
 from ajna.sim.observation import Observation, Output, TaskSetup
-from ajna.sim.vehicle import Command
+from ajna.sim.vehicle import CAMERA_AHEAD_M, Command
 
 __all__ = ["PAPERS_VEHICLE", "Autopilot", "SkillMethod", "Timing"]
 
@@ -64,6 +64,7 @@ def skill_options(setup: TaskSetup, planning_rate_hz: float) -> tasks.SkillOptio
     options.planning_rate_hz = planning_rate_hz
     if setup.task == "navigate":
         options.navigate_policy.speed_m_s = setup.speed_m_s
+        options.corridor.camera_ahead_m = CAMERA_AHEAD_M
     if setup.task == "gap":
         options.gap_policy.coast_duration_s = COAST_S
         options.gap_policy.forward_m_s = options.gap_policy.coast_m_s = setup.speed_m_s
