@@ -8,6 +8,9 @@ import json
 import multiprocessing
 import os
 import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -63,6 +66,41 @@ def test_killed_worker_is_one_sentence_and_keeps_what_is_done(tmp_path: Path, re
     assert load_trial(plan, known[0]) is not None
     assert len(list(tmp_path.rglob("trial_*.json"))) < 12
     assert not multiprocessing.active_children()
+
+
+ORPHAN = """
+import multiprocessing, os, time
+from concurrent.futures import ProcessPoolExecutor
+from ajna.sim.trials import _end_with_parent
+if __name__ == "__main__":
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=context, initializer=_end_with_parent) as pool:
+        print(pool.submit(os.getpid).result(), flush=True)
+        pool.submit(time.sleep, 300).result()
+"""
+
+
+def runs(pid: int) -> bool:
+    """Whether a process runs; one that has ended and that nobody has asked for does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+def test_workers_end_with_a_killed_parent(tmp_path: Path) -> None:
+    script = tmp_path / "orphan.py"
+    script.write_text(ORPHAN)
+    with subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        worker = int(parent.stdout.readline())
+        assert runs(worker)
+        parent.terminate()
+        parent.wait()
+    end = time.monotonic() + 30
+    while runs(worker) and time.monotonic() < end:
+        time.sleep(0.1)
+    assert not runs(worker)
 
 
 def test_true_depth_flies_a_world_once(tmp_path: Path, rendering: None, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,6 +7,7 @@ import json
 import multiprocessing
 import os
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
@@ -273,6 +274,22 @@ def run_trials(
     return [results[seed] for seed in sorted(results)]
 
 
+def _end_with_parent() -> None:
+    """End this worker at once when the process that started it is gone.
+
+    A parent that is killed tells its workers nothing: they would fly on, and then wait for ever.
+    """
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, name="end-with-parent", daemon=True).start()
+
+
 def _flown(plan: TrialPlan, seeds: list[int], workers: int) -> Iterator[tuple[EpisodeResult, int]]:
     if workers == 1:
         for seed in seeds:
@@ -280,7 +297,8 @@ def _flown(plan: TrialPlan, seeds: list[int], workers: int) -> Iterator[tuple[Ep
         return
     # A fresh interpreter per worker: OpenGL contexts and thread pools do not survive a fork.
     context = multiprocessing.get_context("spawn")
-    with _environment_of_workers(), ProcessPoolExecutor(workers, mp_context=context) as pool:
+    pool_of_workers = ProcessPoolExecutor(workers, mp_context=context, initializer=_end_with_parent)
+    with _environment_of_workers(), pool_of_workers as pool:
         pending = {pool.submit(_run_one, plan, seed) for seed in seeds}
         try:
             while pending:
