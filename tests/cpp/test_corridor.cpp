@@ -245,6 +245,22 @@ TEST(Corridor, LooksToTheSidesWhereTheFanIsBlocked) {
   EXPECT_THROW(CorridorPlanner{narrow}, Error);
 }
 
+TEST(Corridor, ADriftTowardsAThingDoesNotBlockTheWaysPastIt) {
+  // It has braked before a trunk that stands 0.4 m ahead, and still drifts nearer.
+  HorizonScan scan;
+  for (double angle = -0.6; angle <= 0.6; angle += 0.02) {
+    scan.things.emplace_back(0.4, 0.4 * std::tan(angle));
+  }
+  CorridorPlanner planner;
+  Corridor corridor;
+  for (int i = 0; i < 5; ++i) {
+    corridor = planner.plan(scan, {0, 0}, 0.0, 0.0, {0.3, 0.0});
+  }
+  EXPECT_GT(std::abs(corridor.angle_rad), planner.options().fan_rad);
+  EXPECT_GT(corridor.free_m, planner.options().blocked_m);
+  EXPECT_LT(corridor.goal_free_m, 0.5);
+}
+
 /// How near the vehicle's middle comes to a thing 0.6 m long beside it, when it flies as it is told, 30 times a second.
 double nearest_of_a_flight_past(double crowd_weight) {
   CorridorOptions options;
