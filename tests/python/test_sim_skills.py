@@ -60,22 +60,24 @@ def test_true_motion_is_what_navigating_takes_a_map_for(velocity: tuple[float, f
     """From the map along the horizon navigating finds the true distances again."""
     camera = CameraModel(width=160, height=120)
     world = make_world("forest", 1, camera)
-    with Renderer(world.model, camera) as renderer:
-        frame = Frame(renderer, [world.initial_qpos()], 1, 0.1, 0)
-        depth = frame.depth
-    level = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
-    seen = SimpleNamespace(frame=frame, heading_from_camera=level, velocity_m_s=np.array(velocity))
-    before = SimpleNamespace(frame=SimpleNamespace(time_s=0.0))
+    now = world.initial_qpos()
+    before = now.copy()
+    before[:3] -= 0.1 * np.array([velocity[0], -velocity[1], -velocity[2]])  # forward, left, up
     signal = TrueMotionSignal()
     options = tasks.SkillOptions()
     signal.adapt(options)
-    first, second = (SimpleNamespace(time_s=t, tag=tag) for t, tag in ((0.1, seen), (0.0, before)))
-    map_ = signal.source(camera)(first, second, "rotation")
+    with Renderer(world.model, camera) as renderer:
+        frames = [Frame(renderer, [qpos], i, 0.1 * i, 0) for i, qpos in enumerate((before, now))]
+        depth = frames[1].depth
+        level = np.diag([1.0, -1.0, -1.0]) @ frames[1].T_world_camera[:3, :3]
+        second, first = (SimpleNamespace(tag=SimpleNamespace(frame=f, heading_from_camera=level)) for f in frames)
+        map_ = signal.source(camera)(first, second, "rotation")
     assert map_.dtype == np.float32 and map_.shape == depth.shape
     if not any(velocity):
         assert np.all(map_ == np.float32(options.horizon.floor))
         return
     options.horizon.band, options.horizon.column_step, options.horizon.max_distance_m = 0.02, 1, 50.0
+    options.horizon.range_moves = 1e6
     found = tasks.horizon_obstacles(map_, level, camera.horizontal_fov_rad, 0.1 * np.array(velocity), options.horizon)
     row = depth[round(camera.center_px[1])]
     near = np.array([thing[0] for thing in found])
