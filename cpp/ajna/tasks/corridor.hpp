@@ -67,7 +67,8 @@ class CorridorPlanner {
     double narrow_m = 0.0;
     double wide_m = 0.0;
     double bare_m = 0.0;
-    double crowd = 0.0;  ///< mean over the way's first need_m of the squared share of the wide corridor that is taken
+    double crowd = 0.0;  ///< mean over the way's first need_m of the squared share of the wide corridor that is taken;
+                         ///< 1 beyond where nothing as wide as the vehicle is free
   };
   [[nodiscard]] Free free_length(double angle_rad, const Eigen::Vector2d& velocity_m_s) const;
   [[nodiscard]] double clearance(const Eigen::Vector2d& point_m) const;
