@@ -25,8 +25,8 @@ class DeadReckoning {
   void lose() noexcept { last_.reset(); }
   /// Of the camera since the beginning: north, east, down. A way that is not known is left out.
   [[nodiscard]] const Eigen::Vector3d& position_m() const noexcept { return position_m_; }
-  /// How far the camera has come since then, metres (forward, right, down) in the heading frame of the last measurement;
-  /// nothing where not all of the way is known.
+  /// How far the camera has come since then, metres (forward, right, down) in the heading frame of the last
+  /// measurement; nothing where not all of the way is known.
   [[nodiscard]] std::optional<Eigen::Vector3d> moved_since(double time_s) const;
 
  private:
