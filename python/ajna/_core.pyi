@@ -176,22 +176,24 @@ class Command:
 
 class CorridorOptions:
     half_width_m: float
-    room_m: float
-    fan_rad: float
     bare_m: float
     squeeze_m_s: float
-    bare_weight: float
+    room_m: float
+    crowd_weight: float
+    blocked_weight: float
+    goal_ahead_m: float
+    side_m: float
+    fan_rad: float
+    directions: int
     blocked_m: float
     wide_fan_rad: float
-    directions: int
     horizon_m: float
     support: int
-    room_weight: float
-    goal_weight: float
     keep_weight: float
+    least_way_m: float
+    least_way_s: float
     need_m: float
-    need_weight: float
-    crowd_weight: float
+    aside_rad: float
     camera_ahead_m: float
     brake_m_s2: float
     stop_m: float

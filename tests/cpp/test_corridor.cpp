@@ -104,7 +104,7 @@ TEST(Occupancy, SaturatedReadingsMarkAndClearNothing) {
   }
   EXPECT_EQ(map.evidence({1.3, 0.0}), before);
   EXPECT_GT(map.evidence({2.6, 0.0}), OccupancyOptions{}.blocked);
-  for (int i = 0; i < 10; ++i) {
+  for (int i = 0; i < 30; ++i) {
     map.add(far, {0, 0}, 0.0);
   }
   EXPECT_LT(map.evidence({1.3, 0.0}), 0.0) << "a reading that can be trusted clears the way to it";
@@ -302,26 +302,82 @@ TEST(Corridor, FliesThroughTheMiddleOfAGap) {
   EXPECT_GT(corridor.angle_rad, -0.2);
 }
 
+/// A wall across the way, from one side to the other, with a gap in its middle.
+HorizonScan wall(double forward_m, double gap_m) {
+  HorizonScan scan;
+  for (double right = gap_m / 2.0; right < 7.0; right += 0.05) {
+    scan.things.emplace_back(forward_m, right);
+    scan.things.emplace_back(forward_m, -right);
+  }
+  return scan;
+}
+
 TEST(Corridor, SqueezesSlowlyThroughWhatIsHardlyWiderThanTheVehicle) {
   CorridorOptions options;
   options.half_width_m = 0.6;
   CorridorPlanner planner(options);
-  HorizonScan scan = trunk(2.0, -1.05, 1.3);
-  const HorizonScan other = trunk(2.0, 1.05, 1.3);
-  scan.things.insert(scan.things.end(), other.things.begin(), other.things.end());
-  const Corridor corridor = seen(planner, scan, 0.0, 10);
+  const Corridor corridor = seen(planner, wall(2.0, 0.8), 0.0, 10);
   ASSERT_LT(corridor.free_m, 2.0) << "0.8 m: too narrow to pass with room to spare";
   EXPECT_GT(corridor.bare_m, 4.0);
   EXPECT_GE(corridor.speed_m_s, planner.options().squeeze_m_s);
   EXPECT_NEAR(corridor.angle_rad, 0.0, 0.1);
 }
 
-TEST(Corridor, SlowsDownBeforeAWall) {
+TEST(Corridor, SlowsDownBeforeADeadEnd) {
+  HorizonScan scan = wall(1.3, 0.0);
+  for (double forward = -1.0; forward < 1.3; forward += 0.05) {
+    scan.things.emplace_back(forward, 1.0);
+    scan.things.emplace_back(forward, -1.0);
+  }
+  CorridorOptions no_squeezing;
+  no_squeezing.squeeze_m_s = 0.0;
+  CorridorPlanner planner(no_squeezing);
+  seen(planner, scan);
+  const Corridor corridor = planner.plan(scan, {0, 0}, 0.0, 0.0, {2.0, 0.0});
+  EXPECT_LT(corridor.free_m, 1.3);
+  // What it flies until it brakes, and while it does, is what is left.
+  const CorridorOptions& options = planner.options();
+  const double speed = corridor.speed_m_s;
+  EXPECT_NEAR(speed * (options.lag_s + 1.0 / options.turn_per_s) + speed * speed / (2.0 * options.brake_m_s2),
+              corridor.free_m - options.stop_m, 1e-9);
+}
+
+TEST(Corridor, ChoosesTheSideThatLeadsOn) {
+  // Straight on stands a trunk; to its left the way ends 2 m behind it, to its right it leads on. What is free first
+  // says nothing of that.
+  HorizonScan scan = trunk(2.0, 0.0);
+  for (double forward = 1.0; forward < 4.0; forward += 0.05) {
+    scan.things.emplace_back(forward, -1.6);
+  }
+  for (double right = -1.6; right < 0.3; right += 0.05) {
+    scan.things.emplace_back(4.0, right);
+  }
   CorridorPlanner planner;
-  const Corridor corridor = seen(planner, trunk(1.3, 0.0, 20.0));
-  EXPECT_LT(corridor.free_m, 2.0);
-  const double room = corridor.free_m - planner.options().stop_m;
-  EXPECT_NEAR(corridor.speed_m_s * corridor.speed_m_s, 2.0 * planner.options().brake_m_s2 * room, 1e-9);
+  EXPECT_GT(seen(planner, scan, 0.0, 10).angle_rad, 0.05);
+  planner.reset();
+  for (auto& thing : scan.things) {
+    thing.y() = -thing.y();
+  }
+  EXPECT_LT(seen(planner, scan, 0.0, 10).angle_rad, -0.05);
+}
+
+TEST(Corridor, FliesPastAThingNoFasterThanItSees) {
+  // The goal lies aside, outside of the picture: what stands there is not known, and the vehicle must not speed up.
+  CorridorPlanner planner;
+  const Corridor aside = planner.plan(nothing(), {0, 0}, 0.0, 1.5, {1.5, 0.0});
+  EXPECT_NEAR(aside.angle_rad, planner.options().fan_rad, 0.05);
+  EXPECT_NEAR(aside.speed_m_s, 1.5, 0.5);
+  planner.reset();
+  EXPECT_GT(planner.plan(nothing(), {0, 0}, 0.0, 0.0, {1.5, 0.0}).speed_m_s, 4.0);
+  // Touching something it goes on slowly, wherever that leads.
+  HorizonScan scan = nothing();
+  for (int i = 0; i < 20; ++i) {
+    scan.things.emplace_back(0.02 * i, -0.25);
+  }
+  planner.reset();
+  const Corridor touching = seen(planner, scan, 0.0, 10);
+  ASSERT_FALSE(planner.things().empty());
+  EXPECT_LE(touching.speed_m_s, planner.options().squeeze_m_s);
 }
 
 }  // namespace

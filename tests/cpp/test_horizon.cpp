@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Geometry>
+#include <algorithm>
 #include <cmath>
 #include <opencv2/core.hpp>
 #include <string>
@@ -24,8 +25,10 @@ Eigen::Matrix3d level() {
   return axes;
 }
 
-/// The map that a wall across the way at `depth_m` gives by the model that horizon_scan inverts.
-cv::Mat wall(const Eigen::Matrix3d& heading_from_camera, const Eigen::Vector3d& move_m, double depth_m) {
+/// The map that a wall across the way at `depth_m` gives by the model that horizon_scan inverts; it stands between
+/// `left_m` and `right_m`, both to the right of the heading, and beside it nothing does.
+cv::Mat wall(const Eigen::Matrix3d& heading_from_camera, const Eigen::Vector3d& move_m, double depth_m,
+             double left_m = -1e9, double right_m = 1e9) {
   const HorizonOptions options;
   const auto camera = geometry::Camera::from_horizontal_fov(kWidth, kHeight, kFov);
   const Eigen::Vector2d focus = *camera.project(heading_from_camera.transpose() * move_m);
@@ -36,7 +39,9 @@ cv::Mat wall(const Eigen::Matrix3d& heading_from_camera, const Eigen::Vector3d& 
       const Eigen::Vector3d ray = heading_from_camera * Eigen::Vector3d(normalized.x(), normalized.y(), 1.0);
       const double depth = depth_m / ray.x();  // along the optical axis, to a wall that stands across the heading
       const double shift = (Eigen::Vector2d(x, y) - focus).norm() + options.least_shift_px;
-      map.at<float>(y, x) = static_cast<float>(options.floor + options.per_px * shift * move_m.norm() / depth);
+      const double right = depth_m / ray.x() * ray.y();
+      const double motion = right >= left_m && right <= right_m ? shift * move_m.norm() / depth : 0.0;
+      map.at<float>(y, x) = static_cast<float>(options.floor + options.per_px * motion);
     }
   }
   return map;
@@ -58,6 +63,27 @@ TEST(Horizon, DistancesOfAWallHoweverTheCameraIsTilted) {
         EXPECT_GT(thing.x(), off > 0.3 ? 3.6 : 2.8) << roll << " " << pitch;
       }
     }
+  }
+}
+
+TEST(Horizon, AnUprightThingKeepsItsWidthInATurn) {
+  // A post, 0.4 m wide, 2.5 m ahead, while the camera leans into a turn: read along columns of the image its edges
+  // would be mixed with what lies beside it, and stand at twice the distance.
+  const Eigen::Vector3d move(0.8, 0.0, 0.0);
+  for (const double roll : {-0.5, 0.0, 0.3, 0.6}) {
+    const Eigen::Matrix3d attitude = Eigen::AngleAxisd(roll, Eigen::Vector3d::UnitX()).toRotationMatrix() * level();
+    const auto found = horizon_scan(wall(attitude, move, 2.5, 0.7, 1.1), {}, attitude, kFov, move);
+    ASSERT_TRUE(found);
+    double left = 1e9;
+    double right = -1e9;
+    for (const auto& thing : found->all_things()) {
+      left = std::min(left, thing.y() / thing.x() * 2.5);
+      right = std::max(right, thing.y() / thing.x() * 2.5);
+      EXPECT_GT(thing.x(), 2.0) << roll;
+      EXPECT_LT(thing.x(), 3.6) << roll;
+    }
+    EXPECT_NEAR(left, 0.7, 0.06) << roll;
+    EXPECT_NEAR(right, 1.1, 0.06) << roll;
   }
 }
 

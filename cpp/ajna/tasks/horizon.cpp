@@ -15,15 +15,15 @@
 namespace ajna::tasks {
 namespace {
 
-/// Rows of a column that lie in the band about the horizon, and the horizon's own.
-struct Band {
-  double horizon_row;
-  int wanted;  ///< rows of the whole band, those outside of the image included
-  int first;
-  int last;
+/// The image of an upright line through the horizon: what stands upright lies along it, however the camera is tilted.
+struct Upright {
+  Eigen::Vector2d along;  ///< level direction to it, heading frame; as long as the ray is at unit depth
+  Eigen::Vector2d top;    ///< pixels
+  Eigen::Vector2d bottom;
 };
 
-std::optional<Band> band_of(const geometry::Camera& camera, const Eigen::Matrix3d& rotation, double x, double slope) {
+std::optional<Upright> upright_of(const geometry::Camera& camera, const Eigen::Matrix3d& rotation, double x,
+                                  double slope) {
   const double u = (x - camera.cx) / camera.fx;
   // The ray through row v leads down by r20 u + r21 v + r22 (in units of depth): 0 on the horizon.
   const double per_v = rotation(2, 1);
@@ -32,11 +32,10 @@ std::optional<Band> band_of(const geometry::Camera& camera, const Eigen::Matrix3
   }
   const double v = -(rotation(2, 0) * u + rotation(2, 2)) / per_v;
   const Eigen::Vector3d ray = rotation * Eigen::Vector3d(u, v, 1.0);
-  const double half = slope * std::hypot(ray.x(), ray.y()) / std::abs(per_v) * camera.fy;
-  const double row = camera.cy + v * camera.fy;
-  Band band{row, static_cast<int>(2.0 * half) + 1, std::max(0, static_cast<int>(std::ceil(row - half))),
-            std::min(camera.height - 1, static_cast<int>(std::floor(row + half)))};
-  return band.first <= band.last ? std::optional(band) : std::nullopt;
+  const Eigen::Vector3d rise(0.0, 0.0, slope * ray.head<2>().norm());
+  const auto top = camera.project(rotation.transpose() * (ray - rise));
+  const auto bottom = camera.project(rotation.transpose() * (ray + rise));
+  return top && bottom ? std::optional(Upright{ray.head<2>(), *top, *bottom}) : std::nullopt;
 }
 
 }  // namespace
@@ -82,31 +81,35 @@ std::optional<HorizonScan> horizon_scan(const cv::Mat& map, const cv::Mat& valid
   int seen = 0;
   for (int x = 0; x < map.cols; x += options.column_step) {
     ++columns;
-    const auto band = band_of(camera, heading_from_camera, x, options.band);
-    if (!band) {
+    const auto upright = upright_of(camera, heading_from_camera, x, options.band);
+    if (!upright) {
       continue;
     }
+    const Eigen::Vector2d span = upright->bottom - upright->top;
+    const int wanted = static_cast<int>(span.norm()) + 1;
     double sum = 0.0;
     double shift = 0.0;
     int count = 0;
-    for (int y = band->first; y <= band->last; ++y) {
-      if (valid.empty() || valid.at<std::uint8_t>(y, x) != 0) {
-        sum += static_cast<double>(map.at<float>(y, x));
-        shift += (Eigen::Vector2d(x, y) - *focus).norm();
-        ++count;
+    for (int i = 0; i < wanted; ++i) {
+      const Eigen::Vector2d pixel = upright->top + (i + 0.5) / wanted * span;
+      const int column = cvRound(pixel.x());
+      const int row = cvRound(pixel.y());
+      if (row < 0 || row >= map.rows || column < 0 || column >= map.cols ||
+          (!valid.empty() && valid.at<std::uint8_t>(row, column) == 0)) {
+        continue;
       }
+      sum += static_cast<double>(map.at<float>(row, column));
+      shift += (pixel - *focus).norm();
+      ++count;
     }
-    if (count == 0 || 2 * count < band->wanted) {
+    if (count == 0 || 2 * count < wanted) {
       continue;
     }
     ++seen;
     const double excess = sum / count - options.floor;
-    const Eigen::Vector2d pixel(x, band->horizon_row);
     const double depth = excess > 0.0 ? options.per_px * (shift / count + options.least_shift_px) * move / excess
                                       : std::numeric_limits<double>::infinity();
-    const Eigen::Vector2d normalized = camera.normalize(pixel);
-    const Eigen::Vector3d ray = heading_from_camera * Eigen::Vector3d(normalized.x(), normalized.y(), 1.0);
-    const Eigen::Vector2d along = ray.head<2>();
+    const Eigen::Vector2d& along = upright->along;
     if (depth * along.norm() <= range) {
       (excess + options.floor >= options.saturated ? scan.near : scan.things).emplace_back(depth * along);
     } else {

@@ -13,12 +13,12 @@ namespace ajna::tasks {
 struct OccupancyOptions {
   double cell_m = 0.2;
   double seen = 0.9;         ///< evidence of one frame that a thing stands where it is read; less beyond sure_m
-  double passed = 0.45;      ///< evidence against it, where rays pass
+  double passed = 0.25;      ///< evidence against it, where rays pass
   double sure_m = 4.0;       ///< readings beyond count as sure_m over their distance
   double clear_share = 0.7;  ///< a ray passes so much of the distance that is read: that may be too large
   double clear_near = 0.0;   ///< where the map is saturated: the reading bounds the distance from above only
   double thickness = 0.15;   ///< a thing is marked so far beyond its distance, as a share of it
-  double bound = 2.0;        ///< of the evidence, both ways
+  double bound = 3.0;        ///< of the evidence, both ways
   double blocked = 0.8;      ///< a cell with more evidence counts as a thing
   double forget_m = 5.0;  ///< evidence falls to 1/e while the vehicle moves so far; at rest none: nothing new is seen
   double max_range_m = 9.0;  ///< cells further away are not kept
