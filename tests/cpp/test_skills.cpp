@@ -4,6 +4,7 @@
 
 #include <Eigen/Geometry>
 #include <cmath>
+#include <functional>
 #include <limits>
 #include <memory>
 #include <opencv2/imgproc.hpp>
@@ -165,6 +166,47 @@ TEST_F(SkillTest, NavigatePairsAreShorterWhereSomethingIsNearAndLongerForASlowVe
   EXPECT_NEAR(fly(0.1, 1.2), defaults.baseline_m / 1.2, 0.02);
   EXPECT_NEAR(fly(0.1, 0.5), defaults.longest_baseline_s, 0.02) << "no longer, however slow";
   EXPECT_NEAR(fly(1.5, 4.0), defaults.shortest_baseline_s, 0.02) << "no shorter, however near";
+}
+
+TEST_F(SkillTest, SensorsThatSayNoNumberAreNotHeard) {
+  const double nan = std::nan("");
+  for (const Task task : {Task::kDodge, Task::kNavigate, Task::kGap}) {
+    const auto fly = [&](const std::function<void(SkillInput&)>& spoil) {
+      const auto skill = make(task);
+      std::vector<SkillOutput> outputs;
+      for (int i = 0; i < 30; ++i) {
+        SkillInput input = at(i / 30.0);
+        input.velocity_m_s = Eigen::Vector3d(1.0, 0.1, 0.0);
+        if (i == 12) {
+          spoil(input);
+        }
+        outputs.push_back(skill->plan(input));
+        const auto& command = outputs.back().command;
+        EXPECT_TRUE(command.velocity_m_s.allFinite() && command.acceleration_m_s2.allFinite() &&
+                    std::isfinite(command.yaw_rate_rad_s));
+      }
+      return outputs;
+    };
+    const auto without = fly([](SkillInput& input) {
+      input.attitude.reset();
+      input.velocity_m_s.reset();
+    });
+    const auto yaw = fly([&](SkillInput& input) {
+      input.attitude->yaw_rad = nan;
+      input.velocity_m_s = Eigen::Vector3d(1.0, nan, 0.0);
+    });
+    const auto rotation = fly([&](SkillInput& input) {
+      input.attitude->heading_from_camera(1, 2) = nan;
+      input.velocity_m_s->x() = std::numeric_limits<double>::infinity();
+    });
+    for (std::size_t i = 0; i < without.size(); ++i) {
+      for (const auto* other : {&yaw[i], &rotation[i]}) {
+        EXPECT_EQ(other->status, without[i].status) << i;
+        EXPECT_EQ(other->command.acceleration_m_s2, without[i].command.acceleration_m_s2) << i;
+        EXPECT_EQ(other->command.velocity_m_s, without[i].command.velocity_m_s) << i;
+      }
+    }
+  }
 }
 
 TEST_F(SkillTest, NavigateSetsOutOnceWithoutAPair) {

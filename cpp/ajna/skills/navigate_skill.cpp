@@ -115,10 +115,7 @@ class NavigateSkill final : public Skill {
     return output;
   }
 
-  /// A velocity that is no number is none: one such frame must not spoil the position for ever.
-  static bool measured(const SkillInput& input) {
-    return input.attitude && input.velocity_m_s && input.velocity_m_s->allFinite();
-  }
+  static bool measured(const SkillInput& input) { return input.attitude && input.velocity_m_s; }
 
   /// How far apart the frames of a pair should be: further while the vehicle is slow, less where something is near.
   [[nodiscard]] double interval_s(const SkillInput& input) const {

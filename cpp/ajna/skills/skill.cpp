@@ -72,12 +72,39 @@ void validate(const SkillOptions& options) {
   }
 }
 
+namespace {
+
+/// What other sensors say counts as not said where it is no number: one such frame must not spoil what is kept.
+class SoundInput final : public Skill {
+ public:
+  explicit SoundInput(std::unique_ptr<Skill> skill) : skill_(std::move(skill)) {}
+  SkillOutput plan(const SkillInput& input) override { return skill_->plan(sound(input)); }
+  void remember(const SkillInput& input) override { skill_->remember(sound(input)); }
+  void begin() override { skill_->begin(); }
+
+ private:
+  static SkillInput sound(SkillInput input) {
+    if (input.attitude &&
+        !(input.attitude->heading_from_camera.allFinite() && std::isfinite(input.attitude->yaw_rad))) {
+      input.attitude.reset();
+    }
+    if (input.velocity_m_s && !input.velocity_m_s->allFinite()) {
+      input.velocity_m_s.reset();
+    }
+    return input;
+  }
+
+  std::unique_ptr<Skill> skill_;
+};
+
+}  // namespace
+
 std::unique_ptr<Skill> make_skill(const SkillOptions& options, Signal signal) {
   if (!signal) {
     throw_invalid("a skill needs a signal: give network_signal(...), or a function of your own");
   }
   validate(options);
-  return made(options, std::move(signal));
+  return std::make_unique<SoundInput>(made(options, std::move(signal)));
 }
 
 Snapshot snapshot_of(const SkillInput& input) {

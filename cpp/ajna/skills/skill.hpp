@@ -70,7 +70,8 @@ void validate(const SkillOptions& options);
 struct SkillInput {
   ImageView frame;  ///< RGB; may be empty where neither signal nor task needs a picture
   double captured_s = 0.0;
-  std::optional<Attitude> attitude;  ///< nothing: the camera is taken to be level, and turning is not taken out
+  /// Nothing, or one that is no number: the camera is taken to be level, and turning is not taken out.
+  std::optional<Attitude> attitude;
   std::optional<Eigen::Vector3d> velocity_m_s;  ///< levelled heading frame (forward, right, down)
   std::optional<Eigen::Vector3d> goal;          ///< navigate: the way to it, heading frame, any positive length
   double too_high_m = 0.0;                      ///< navigate: above the height to be held
