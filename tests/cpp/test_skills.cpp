@@ -4,8 +4,6 @@
 
 #include <Eigen/Geometry>
 #include <cmath>
-#include <functional>
-#include <limits>
 #include <memory>
 #include <opencv2/imgproc.hpp>
 #include <string>
@@ -15,56 +13,10 @@
 
 #include "ajna/base/error.hpp"
 #include "ajna/skills/skill.hpp"
+#include "skill_fixtures.hpp"
 
 namespace ajna::skills {
 namespace {
-
-constexpr int kWidth = 160;
-constexpr int kHeight = 120;
-
-/// What a signal was asked for.
-struct Asked {
-  double first_s;
-  double second_s;
-  CommonMotion common;
-};
-
-class SkillTest : public ::testing::Test {
- protected:
-  std::vector<Asked> asked;
-  bool fails = false;
-  cv::Mat map = cv::Mat(kHeight, kWidth, CV_32F, cv::Scalar(0.2F));
-  Image picture = Image(kWidth, kHeight);
-
-  Signal signal() {
-    return [this](const Snapshot& first, const Snapshot& second, CommonMotion common) {
-      asked.push_back({first.captured_s, second.captured_s, common});
-      if (fails) {
-        throw_runtime("the network gave NaN");
-      }
-      return SignalMap{map.clone(), {}, std::nullopt};
-    };
-  }
-  std::unique_ptr<Skill> make(Task task, double planning_rate_hz = 30.0) {
-    SkillOptions options;
-    options.task = task;
-    options.planning_rate_hz = planning_rate_hz;
-    return make_skill(options, signal());
-  }
-  [[nodiscard]] SkillInput at(double time_s) const {
-    SkillInput input;
-    input.captured_s = time_s;
-    input.frame = picture.view();
-    input.attitude = Attitude{};
-    input.velocity_m_s = Eigen::Vector3d::Zero();
-    return input;
-  }
-  /// A disc that is certain to be uncertain.
-  void draw(double x, double radius) {
-    map = cv::Mat(kHeight, kWidth, CV_32F, cv::Scalar(0.2F));
-    cv::circle(map, {static_cast<int>(x), kHeight / 2}, static_cast<int>(radius), cv::Scalar(1.6F), cv::FILLED);
-  }
-};
 
 TEST_F(SkillTest, DodgePairsGoBackToAnOlderFrame) {
   const auto skill = make(Task::kDodge);
@@ -120,20 +72,6 @@ TEST_F(SkillTest, DodgeDecidesOnce) {
   EXPECT_EQ(again.command.mode, control::CommandMode::kHold) << "but nothing that was decided";
 }
 
-TEST_F(SkillTest, AFailedSignalIsToldAndTheFrameKept) {
-  for (const Task task : {Task::kDodge, Task::kNavigate}) {
-    const auto skill = make(task);
-    skill->plan(at(0.0));
-    fails = true;
-    EXPECT_THROW(skill->plan(at(0.05)), Error);
-    fails = false;
-    asked.clear();
-    EXPECT_TRUE(skill->plan(at(task == Task::kDodge ? 0.2 : 0.1)).valid);
-    ASSERT_EQ(asked.size(), 1U);
-    EXPECT_EQ(asked[0].second_s, task == Task::kDodge ? 0.05 : 0.0);
-  }
-}
-
 TEST_F(SkillTest, NavigatePairsSpanTheBaselineWithoutTurning) {
   const auto skill = make(Task::kNavigate);
   const SkillOptions defaults;
@@ -166,47 +104,6 @@ TEST_F(SkillTest, NavigatePairsAreShorterWhereSomethingIsNearAndLongerForASlowVe
   EXPECT_NEAR(fly(0.1, 1.2), defaults.baseline_m / 1.2, 0.02);
   EXPECT_NEAR(fly(0.1, 0.5), defaults.longest_baseline_s, 0.02) << "no longer, however slow";
   EXPECT_NEAR(fly(1.5, 4.0), defaults.shortest_baseline_s, 0.02) << "no shorter, however near";
-}
-
-TEST_F(SkillTest, SensorsThatSayNoNumberAreNotHeard) {
-  const double nan = std::nan("");
-  for (const Task task : {Task::kDodge, Task::kNavigate, Task::kGap}) {
-    const auto fly = [&](const std::function<void(SkillInput&)>& spoil) {
-      const auto skill = make(task);
-      std::vector<SkillOutput> outputs;
-      for (int i = 0; i < 30; ++i) {
-        SkillInput input = at(i / 30.0);
-        input.velocity_m_s = Eigen::Vector3d(1.0, 0.1, 0.0);
-        if (i == 12) {
-          spoil(input);
-        }
-        outputs.push_back(skill->plan(input));
-        const auto& command = outputs.back().command;
-        EXPECT_TRUE(command.velocity_m_s.allFinite() && command.acceleration_m_s2.allFinite() &&
-                    std::isfinite(command.yaw_rate_rad_s));
-      }
-      return outputs;
-    };
-    const auto without = fly([](SkillInput& input) {
-      input.attitude.reset();
-      input.velocity_m_s.reset();
-    });
-    const auto yaw = fly([&](SkillInput& input) {
-      input.attitude->yaw_rad = nan;
-      input.velocity_m_s = Eigen::Vector3d(1.0, nan, 0.0);
-    });
-    const auto rotation = fly([&](SkillInput& input) {
-      input.attitude->heading_from_camera(1, 2) = nan;
-      input.velocity_m_s->x() = std::numeric_limits<double>::infinity();
-    });
-    for (std::size_t i = 0; i < without.size(); ++i) {
-      for (const auto* other : {&yaw[i], &rotation[i]}) {
-        EXPECT_EQ(other->status, without[i].status) << i;
-        EXPECT_EQ(other->command.acceleration_m_s2, without[i].command.acceleration_m_s2) << i;
-        EXPECT_EQ(other->command.velocity_m_s, without[i].command.velocity_m_s) << i;
-      }
-    }
-  }
 }
 
 TEST_F(SkillTest, NavigateSetsOutOnceWithoutAPair) {
@@ -320,30 +217,6 @@ TEST_F(SkillTest, OutputsHaveTheMapAndWhatThePipelineSaid) {
   const auto looked = gap->plan(at(0.05));
   EXPECT_EQ(std::get<tasks::GapResult>(looked.details).pairs, 1);
   EXPECT_FALSE(looked.map.empty());
-}
-
-TEST_F(SkillTest, FramesOfAnotherSizeAreNoPair) {
-  const auto skill = make(Task::kDodge);
-  skill->plan(at(0.0));
-  picture = Image(80, 60);
-  EXPECT_FALSE(skill->plan(at(0.05)).valid);
-  map = cv::Mat(60, 80, CV_32F, cv::Scalar(0.2F));
-  EXPECT_TRUE(skill->plan(at(0.1)).valid);
-}
-
-TEST_F(SkillTest, MapsThatCannotBeUsedGiveNoCommandToMove) {
-  const float nan = std::numeric_limits<float>::quiet_NaN();
-  for (const cv::Mat& bad :
-       {cv::Mat(), cv::Mat(1, 1, CV_32F, cv::Scalar(1.0F)), cv::Mat(kHeight, kWidth, CV_32F, cv::Scalar(nan))}) {
-    const auto skill = make(Task::kDodge);
-    map = bad;
-    skill->plan(at(0.0));
-    for (int i = 1; i < 6; ++i) {
-      const auto output = skill->plan(at(0.03 * i));
-      EXPECT_EQ(output.status, "invalid_input");
-      EXPECT_EQ(output.command.mode, control::CommandMode::kHold);
-    }
-  }
 }
 
 TEST(SkillOptions, OutOfRangeIsNamed) {

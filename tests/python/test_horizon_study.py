@@ -79,7 +79,8 @@ def test_columns_of_a_wall(move: tuple[float, float, float]) -> None:
         map_ = np.tile(np.linspace(0.2, 1.8, 160, dtype=np.float32), (120, 1))
         found = columns_of(map_, np.full((120, 160), 5.0, np.float32), attitude, np.array(move), options, FOV)
         assert found is not None and len(found) == 80
-        assert found.uncertainty == pytest.approx(map_[0, ::2], abs=2e-4)
+        # A camera that looks up or down sees upright lines lean towards the picture's sides.
+        assert found.uncertainty == pytest.approx(map_[0, ::2], abs=2e-4 if attitude is LEVEL else 8e-3)
         assert found.closing == pytest.approx(np.full(80, np.linalg.norm(move) / 5.0), rel=1e-3)
         assert found.distance_m == pytest.approx(5.0 * found.per_depth, rel=1e-3)
     nothing = columns_of(map_, np.full((120, 160), np.inf, np.float32), LEVEL, np.array(move), options, FOV)
