@@ -206,6 +206,17 @@ TEST(Corridor, AWayThatCannotBeFlownAtThisSpeedIsNotFree) {
   EXPECT_EQ(fast.free_m, planner.options().horizon_m);
 }
 
+TEST(Corridor, ChoosesAtAnySpeed) {
+  for (const double speed : {5.0, 8.0, 10.0}) {  // at the last two its least way is longer than need_m
+    CorridorPlanner planner;
+    Corridor corridor;
+    for (int i = 0; i < 5; ++i) {
+      corridor = planner.plan(trunk(4.5, 0.2), {0, 0}, 0.0, 0.0, {speed, 0.0});
+    }
+    EXPECT_LT(corridor.angle_rad, -0.1) << speed;
+  }
+}
+
 TEST(Corridor, GoesOnFromBesideAThing) {
   // 0.3 m to the left stands something, nearer than half the corridor's width: that must not hold it for ever.
   CorridorPlanner planner;

@@ -121,6 +121,10 @@ void CorridorPlanner::solve(double goal_rad) {
   to_go_.solve(costs, options_.goal_ahead_m * Eigen::Vector2d(std::cos(goal_rad), std::sin(goal_rad)));
 }
 
+double CorridorPlanner::least_way_m(const Eigen::Vector2d& velocity_m_s) const {
+  return options_.least_way_m + options_.least_way_s * velocity_m_s.norm();
+}
+
 CorridorPlanner::Way CorridorPlanner::roll(double angle_rad, double hold_m, double end_m,
                                            const Eigen::Vector2d& velocity_m_s) const {
   constexpr double kStep_m = 0.15;
@@ -129,7 +133,7 @@ CorridorPlanner::Way CorridorPlanner::roll(double angle_rad, double hold_m, doub
   constexpr double kBetter_m = 0.02;
   const double speed = std::max(velocity_m_s.norm(), kSlowest_m_s);
   const double dt_s = kStep_m / speed;
-  const double least_m = options_.least_way_m + options_.least_way_s * velocity_m_s.norm();
+  const double least_m = least_way_m(velocity_m_s);
   const bool resting = velocity_m_s.norm() < kResting_m_s;
   Eigen::Vector2d wanted = speed * Eigen::Vector2d(std::cos(angle_rad), std::sin(angle_rad));
   Eigen::Vector2d velocity = velocity_m_s;
@@ -215,8 +219,9 @@ Corridor CorridorPlanner::plan(const std::optional<HorizonScan>& scan, const Eig
   solve(goal);
   double best_cost = std::numeric_limits<double>::infinity();
   double best_m = 0.0;
+  const double longest_m = std::max(options_.need_m, least_way_m(velocity_m_s));
   const auto consider = [&](double angle) {
-    const Way way = roll(angle, options_.need_m, options_.need_m, velocity_m_s);
+    const Way way = roll(angle, longest_m, longest_m, velocity_m_s);
     const double cost = way.cost + options_.keep_weight * std::abs(angle - last);
     if (cost < best_cost) {
       best_cost = cost;

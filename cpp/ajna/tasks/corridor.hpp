@@ -29,7 +29,7 @@ struct CorridorOptions {
   double keep_weight = 0.3;  ///< metres of way, per radian to the last choice: what is turned back from halfway is hit
   double least_way_m = 0.5;  ///< a direction is kept for at least so far ...
   double least_way_s = 0.4;  ///< ... and so long ...
-  double need_m = 3.5;       ///< ... and at most so far
+  double need_m = 3.5;       ///< ... and at most so far, where that is longer
   double aside_rad = 0.3;    ///< directions further aside than this are flown without speeding up
   double camera_ahead_m = 0.1;  ///< of the vehicle's middle
   double brake_m_s2 = 3.0;      ///< the speed is one that can be braked within what is free
@@ -75,6 +75,7 @@ class CorridorPlanner {
   };
   /// The way that the vehicle takes to a direction, kept for hold_m, then the cheapest way on, up to end_m.
   [[nodiscard]] Way roll(double angle_rad, double hold_m, double end_m, const Eigen::Vector2d& velocity_m_s) const;
+  [[nodiscard]] double least_way_m(const Eigen::Vector2d& velocity_m_s) const;
   void solve(double goal_rad);
   [[nodiscard]] double cost(double clearance_m) const;
   [[nodiscard]] double speed_for(const Corridor& corridor, double speed_m_s) const;
