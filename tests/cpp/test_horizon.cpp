@@ -87,6 +87,19 @@ TEST(Horizon, AnUprightThingKeepsItsWidthInATurn) {
   }
 }
 
+TEST(Horizon, ACameraThatLooksSteeplyDownSeesNoHorizon) {
+  // Ends of upright lines come near to the camera's plane, where they are imaged at any distance.
+  const cv::Mat map(kHeight, kWidth, CV_32F, cv::Scalar(1.0F));
+  HorizonOptions options;
+  for (const double band : {0.1, 0.2, 0.202, 1.0}) {
+    options.band = band;
+    for (double pitch = -1.57; pitch <= -1.2; pitch += 0.001) {
+      const Eigen::Matrix3d attitude = Eigen::AngleAxisd(pitch, Eigen::Vector3d::UnitY()).toRotationMatrix() * level();
+      ASSERT_FALSE(horizon_scan(map, {}, attitude, kFov, {0.4, 0.0, 0.0}, options)) << band << " " << pitch;
+    }
+  }
+}
+
 TEST(Horizon, SaturatedColumnsAreKeptApart) {
   const Eigen::Vector3d move(0.4, 0.0, 0.0);
   const cv::Mat map = wall(level(), move, 1.5);

@@ -86,6 +86,9 @@ std::optional<HorizonScan> horizon_scan(const cv::Mat& map, const cv::Mat& valid
       continue;
     }
     const Eigen::Vector2d span = upright->bottom - upright->top;
+    if (!(span.norm() < 2.0 * (map.rows + map.cols))) {
+      continue;  // more than half of it lies outside of the image; near the camera's plane lines grow without bound
+    }
     const int wanted = static_cast<int>(span.norm()) + 1;
     double sum = 0.0;
     double shift = 0.0;
