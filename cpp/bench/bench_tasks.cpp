@@ -6,6 +6,7 @@
 #include <opencv2/imgproc.hpp>
 
 #include "ajna/base/memory.hpp"
+#include "ajna/tasks/closer_look.hpp"
 #include "ajna/tasks/dodge.hpp"
 #include "ajna/tasks/gap.hpp"
 #include "ajna/tasks/navigate.hpp"
@@ -30,6 +31,23 @@ void dodge_320x240(benchmark::State& state) {
   double t = 0.0;
   for (auto _ : state) {
     benchmark::DoNotOptimize(pipeline.step(map, t += 0.033));
+  }
+}
+
+void closer_look_320x240(benchmark::State& state) {
+  cv::Mat mask(240, 320, CV_8U, cv::Scalar(0));
+  cv::circle(mask, {180, 120}, 8, 255, cv::FILLED);
+  const cv::Mat frame = textured(1);
+  const cv::Mat other = moved(frame, 2, -1);
+  cv::Mat map;
+  for (auto _ : state) {
+    const CloserLook look = closer_look_at(mask);
+    benchmark::DoNotOptimize(enlarge(view_of(frame), look));
+    benchmark::DoNotOptimize(enlarge(view_of(other), look));
+    if (map.empty()) {
+      cv::resize(map_with({180, 120}, 20), map, look.size);
+    }
+    benchmark::DoNotOptimize(outline(map, mask, look));
   }
 }
 
@@ -89,6 +107,7 @@ void segment_320x240(benchmark::State& state, SegmentMethod method) {
 BENCHMARK(reference_blur_320x240)->Unit(benchmark::kMillisecond);
 BENCHMARK(find_regions_320x240)->Unit(benchmark::kMillisecond);
 BENCHMARK(dodge_320x240)->Unit(benchmark::kMillisecond);
+BENCHMARK(closer_look_320x240)->Unit(benchmark::kMillisecond);
 BENCHMARK(navigate_320x240)->Unit(benchmark::kMillisecond);
 BENCHMARK(gap_stack_and_detect_320x240)->Unit(benchmark::kMillisecond);
 BENCHMARK(gap_track_320x240)->Unit(benchmark::kMillisecond);

@@ -177,6 +177,13 @@ void bind_horizon(py::module_& m) {
 }
 
 void bind_options(py::module_& m) {
+  using tasks::CloserLookOptions;
+  py::class_<CloserLookOptions>(m, "CloserLookOptions", "Of the second, enlarged look at what was found.")
+      .def(py::init<>())
+      .def_readwrite("enlarge", &CloserLookOptions::enlarge)
+      .def_readwrite("width", &CloserLookOptions::width)
+      .def_readwrite("height", &CloserLookOptions::height)
+      .def_readwrite("margin_px", &CloserLookOptions::margin_px);
   py::class_<SkillOptions> options(m, "SkillOptions", "Of make_skill: one task, its pipeline and its policy.");
   options.def(py::init<>());
   def_enum(options, "task", &SkillOptions::task, {Task::kDodge, Task::kNavigate, Task::kGap});
@@ -187,6 +194,7 @@ void bind_options(py::module_& m) {
   AJNA_FIELD(goal_bearing_rad);
   AJNA_FIELD(dodge);
   AJNA_FIELD(dodge_policy);
+  AJNA_FIELD(closer_look);
   AJNA_FIELD(horizon);
   AJNA_FIELD(occupancy);
   AJNA_FIELD(corridor);
@@ -302,6 +310,20 @@ void bind_skills(py::module_& m) {
            "yaw_rad: of the heading frame, to the right.")
       .def("remember", remember, "time_s"_a, "frame"_a = py::none(), "heading_from_camera"_a = py::none(),
            "yaw_rad"_a = 0.0, "tag"_a = py::none(), "Only remember a frame that is not planned on.")
+      .def(
+          "outline",
+          [](Skill& self) {
+            cv::Mat mask;
+            {
+              const py::gil_scoped_release release;
+              mask = self.outline();
+            }
+            return to_mask(mask);
+          },
+          "What the last plan found, outlined more sharply than its mask by a closer look at enlarged pictures: bool "
+          "[H, W]; None where nothing was found or stands out, without pictures, and for other tasks than dodging. "
+          "Runs "
+          "the network once more: call it when the command is on its way.")
       .def("begin", &Skill::begin, "Begin anew with the next frame.");
 }
 

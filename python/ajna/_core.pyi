@@ -174,6 +174,13 @@ class Command:
     @property
     def yaw_rate_rad_s(self) -> float: ...
 
+class CloserLookOptions:
+    enlarge: float
+    width: int
+    height: int
+    margin_px: int
+    def __init__(self) -> None: ...
+
 class CorridorOptions:
     half_width_m: float
     bare_m: float
@@ -902,6 +909,7 @@ class Skill:
         self, options: SkillOptions, signal: NetworkSignal | Callable[[Snapshot, Snapshot, str], NDArray[np.float32]]
     ) -> None: ...
     def begin(self) -> None: ...
+    def outline(self) -> NDArray[np.bool_] | None: ...
     def plan(
         self,
         time_s: float,
@@ -930,6 +938,7 @@ class SkillOptions:
     goal_bearing_rad: float
     dodge: DodgeOptions
     dodge_policy: DodgePolicyOptions
+    closer_look: CloserLookOptions
     horizon: HorizonOptions
     corridor: CorridorOptions
     occupancy: OccupancyOptions

@@ -132,10 +132,15 @@ def dodge_overlay(
     result: DodgeResult,
     command: Command | None = None,
     max_uncertainty: float | None = None,
+    outline: NDArray[np.bool_] | None = None,
 ) -> RgbImage:
-    """Obstacle outlined in red, its track in yellow, impact as an orange cross, safe direction as a green arrow."""
+    """Obstacle outlined in red, its track in yellow, impact as an orange cross, safe direction as a green arrow.
+
+    outline: of a closer look (:meth:`ajna.tasks.Skill.outline`), in cyan.
+    """
     panels = _Panels(frame, uncertainty, max_uncertainty)
     panels.outline(result.mask, RED)
+    panels.outline(outline, CYAN)
     panels.dots([point.center_px for point in result.track], YELLOW, everywhere=True)
     for before, after in zip(result.track, result.track[1:], strict=False):
         panels.arrow(before.center_px, after.center_px, YELLOW)

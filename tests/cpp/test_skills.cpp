@@ -72,6 +72,86 @@ TEST_F(SkillTest, DodgeDecidesOnce) {
   EXPECT_EQ(again.command.mode, control::CommandMode::kHold) << "but nothing that was decided";
 }
 
+/// A picture with a white square on a grey ground.
+Image square_at(int left, int top, int side) {
+  Image picture(2 * kWidth, 2 * kHeight);
+  std::fill(picture.data(), picture.data() + picture.size_bytes(), std::uint8_t{90});
+  cv::Mat pixels(2 * kHeight, 2 * kWidth, CV_8UC3, picture.data());
+  cv::rectangle(pixels, cv::Rect(left, top, side, side), cv::Scalar(255, 255, 255), cv::FILLED);
+  return picture;
+}
+
+TEST(DodgeSkill, OutlinesWhatItFoundByACloserLook) {
+  // A map that shows where two pictures differ, blurred by as many of their own pixels as a network's.
+  std::vector<cv::Size> asked;
+  const Signal blurred = [&asked](const Snapshot& first, const Snapshot& second, CommonMotion) {
+    const auto grey = [](const Snapshot& frame) {
+      const cv::Mat pixels(frame.image.height(), frame.image.width(), CV_8UC3,
+                           const_cast<std::uint8_t*>(frame.image.data()));
+      cv::Mat result;
+      cv::cvtColor(pixels, result, cv::COLOR_RGB2GRAY);
+      return result;
+    };
+    asked.emplace_back(first.image.width(), first.image.height());
+    cv::Mat difference;
+    cv::Mat(grey(first) - grey(second)).convertTo(difference, CV_32F, 1.0 / 40.0, 0.2);  // what is new in the first
+    cv::GaussianBlur(difference, difference, {}, 4.0);
+    return SignalMap{difference, {}, std::nullopt};
+  };
+  constexpr int kSide = 6;
+  const auto skill = make_skill({}, blurred);
+  EXPECT_TRUE(skill->outline().empty()) << "before the first frame";
+  bool found = false;
+  for (int i = 0; i < 20; ++i) {
+    const bool thrown = i >= 8;
+    const int left = thrown ? 60 + 4 * (i - 8) : -20;
+    const Image picture = square_at(left, 100, kSide);
+    SkillInput input;
+    input.captured_s = i / 30.0;
+    input.frame = picture.view();
+    input.attitude = i % 2 == 0 ? std::optional(Attitude{}) : std::nullopt;  // with and without derotation
+    const SkillOutput output = skill->plan(input);
+    asked.clear();
+    const cv::Mat outlined = skill->outline();
+    EXPECT_EQ(outlined.empty(), output.mask.empty()) << i;
+    if (output.mask.empty()) {
+      EXPECT_TRUE(asked.empty()) << "nothing to look at";
+      continue;
+    }
+    found = true;
+    EXPECT_EQ(asked, std::vector({cv::Size(240, 176)}));
+    cv::Mat truth(output.mask.size(), CV_8U, cv::Scalar(0));
+    cv::rectangle(truth, cv::Rect(left, 100, kSide, kSide), 255, cv::FILLED);
+    const auto overlap = [&truth](const cv::Mat& mask) {
+      return static_cast<double>(cv::countNonZero(mask & truth)) / cv::countNonZero(mask | truth);
+    };
+    EXPECT_LT(overlap(output.mask), 0.4);
+    EXPECT_GT(overlap(outlined), 0.6) << i;
+  }
+  EXPECT_TRUE(found);
+  skill->begin();
+  EXPECT_TRUE(skill->outline().empty()) << "begun anew";
+}
+
+TEST_F(SkillTest, NothingIsOutlinedWithoutPicturesOrByASignalThatTakesNone) {
+  for (const bool pictures : {true, false}) {
+    const auto skill = make(Task::kDodge);
+    bool found = false;
+    for (int i = 0; i < 12; ++i) {
+      draw(40.0 + 2.0 * i, 10.0);
+      SkillInput input = at(i / 30.0);
+      input.frame = pictures ? input.frame : ImageView{};
+      const bool seen = !skill->plan(input).mask.empty();
+      EXPECT_TRUE(skill->outline().empty()) << "the map is no enlarged one";
+      found = found || seen;
+    }
+    EXPECT_TRUE(found);
+  }
+  const auto other = make(Task::kNavigate);
+  other->plan(at(0.0));
+  EXPECT_TRUE(other->outline().empty());
+}
+
 TEST_F(SkillTest, NavigatePairsSpanTheBaselineWithoutTurning) {
   const auto skill = make(Task::kNavigate);
   const SkillOptions defaults;

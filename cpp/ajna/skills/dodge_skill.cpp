@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "ajna/skills/skill_parts.hpp"
+#include "ajna/tasks/align.hpp"
 
 namespace ajna::skills {
 namespace {
@@ -26,6 +27,8 @@ class DodgeSkill final : public Skill {
       : signal_(std::move(signal)),
         pair_s_(options.dodge_pair_s),
         max_interval_s_(options.max_interval_s),
+        horizontal_fov_rad_(options.horizontal_fov_rad),
+        closer_look_(options.closer_look),
         memory_(options.max_interval_s),
         pipeline_(pipeline_options(options)),
         policy_(options.dodge_policy) {}
@@ -34,18 +37,53 @@ class DodgeSkill final : public Skill {
     pipeline_.reset();
     policy_.reset();
     planned_.reset();
+    found_.reset();
     decided_ = false;
   }
 
   void remember(const SkillInput& input) override { memory_.add(snapshot_of(input)); }
+
+  cv::Mat outline() override {
+    if (!found_) {
+      return {};
+    }
+    const tasks::CloserLook look = tasks::closer_look_at(found_->mask, closer_look_);
+    const Snapshot first = closer(found_->now, found_->now.image.view(), look);
+    Snapshot second;
+    if (found_->now.attitude && found_->before.attitude) {
+      const Eigen::Matrix3d turn =
+          found_->now.attitude->world_from_camera().transpose() * found_->before.attitude->world_from_camera();
+      const auto still = tasks::derotate_frame(found_->before.image.view(), turn, horizontal_fov_rad_);
+      second = closer(found_->before, view_of(still.image), look);
+    } else {
+      second = closer(found_->before, found_->before.image.view(), look);
+    }
+    return tasks::outline(signal_(first, second, CommonMotion::kNone).map, found_->mask, look, closer_look_);
+  }
 
   SkillOutput plan(const SkillInput& input) override {
     return remembering(memory_, snapshot_of(input), [this](const Snapshot& now) { return decide(now); });
   }
 
  private:
+  /// What the last plan() found something in.
+  struct Found {
+    Snapshot now;
+    Snapshot before;
+    cv::Mat mask;
+  };
+
+  static Snapshot closer(const Snapshot& frame, const ImageView& picture, const tasks::CloserLook& look) {
+    Snapshot result;
+    result.captured_s = frame.captured_s;
+    result.tag = frame.tag;
+    result.image = tasks::enlarge(picture, look);
+    return result;
+  }
+
   SkillOutput decide(const Snapshot& now) {
     SkillOutput output;
+    found_.reset();
     const Snapshot* before = memory_.find(now.captured_s, pair_s_, max_interval_s_);
     if (before == nullptr || !same_size(now, *before)) {
       output.status = "first_frame";
@@ -65,6 +103,9 @@ class DodgeSkill final : public Skill {
     if (!result.mask.empty()) {
       const auto& center = result.track.back().center_px;
       output.point_px = Eigen::Vector2d(center.x, center.y);
+      if (!now.image.empty()) {
+        found_ = Found{now, *before, result.mask};
+      }
     }
     return output;
   }
@@ -89,10 +130,13 @@ class DodgeSkill final : public Skill {
   Signal signal_;
   double pair_s_;
   double max_interval_s_;
+  double horizontal_fov_rad_;
+  tasks::CloserLookOptions closer_look_;
   Memory memory_;
   tasks::DodgePipeline pipeline_;
   control::DodgePolicy policy_;
   std::optional<Planned> planned_;
+  std::optional<Found> found_;
   bool decided_ = false;
 };
 

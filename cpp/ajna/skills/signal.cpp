@@ -5,17 +5,10 @@
 #include <utility>
 
 #include "ajna/base/error.hpp"
+#include "ajna/skills/skill_parts.hpp"
 #include "ajna/tasks/align.hpp"
 
 namespace ajna::skills {
-namespace {
-
-ImageView view_of(const cv::Mat& image) {
-  return {image.data, image.cols, image.rows, 3, static_cast<std::ptrdiff_t>(image.step[0])};
-}
-
-}  // namespace
-
 Eigen::Matrix3d Attitude::level() {
   Eigen::Matrix3d axes;
   axes << 0, 0, 1, 1, 0, 0, 0, 1, 0;

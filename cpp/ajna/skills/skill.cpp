@@ -65,6 +65,7 @@ void validate(const SkillOptions& options) {
   require_between("task.first_look_s", options.first_look_s, 0.0, 5.0);
   require_between("task.last_look_s", options.last_look_s, options.first_look_s, 10.0);
   require_between("task.slew_m_s2", options.slew_m_s2, 0.1, 50.0);
+  tasks::validate(options.closer_look);
   SkillOptions other = options;
   for (const Task task : {Task::kDodge, Task::kNavigate, Task::kGap}) {
     other.task = task;
@@ -79,6 +80,7 @@ class SoundInput final : public Skill {
  public:
   explicit SoundInput(std::unique_ptr<Skill> skill) : skill_(std::move(skill)) {}
   SkillOutput plan(const SkillInput& input) override { return skill_->plan(sound(input)); }
+  cv::Mat outline() override { return skill_->outline(); }
   void remember(const SkillInput& input) override { skill_->remember(sound(input)); }
   void begin() override { skill_->begin(); }
 

@@ -12,6 +12,7 @@
 #include "ajna/control/command.hpp"
 #include "ajna/control/policies.hpp"
 #include "ajna/skills/signal.hpp"
+#include "ajna/tasks/closer_look.hpp"
 #include "ajna/tasks/corridor.hpp"
 #include "ajna/tasks/dodge.hpp"
 #include "ajna/tasks/gap.hpp"
@@ -36,6 +37,7 @@ struct SkillOptions {
   tasks::DodgeOptions dodge;
   double dodge_pair_s = 0.167;  ///< between the frames of a pair, as near as the camera's rate allows; 0: neighbours
   control::DodgePolicyOptions dodge_policy;
+  tasks::CloserLookOptions closer_look;  ///< dodge: Skill::outline
 
   tasks::HorizonOptions horizon;      ///< navigate, where attitude and velocity are known ...
   tasks::OccupancyOptions occupancy;  ///< ... and
@@ -105,6 +107,12 @@ class Skill {
 
   /// Plan on a frame. Throws what the signal throws; the frame is remembered all the same, nothing else is changed.
   virtual SkillOutput plan(const SkillInput& input) = 0;
+  /// What the last plan() found, outlined more sharply than its mask, by a closer look at enlarged pictures of its
+  /// pair: CV_8U, 0 or 255, on the frame that was planned on. Empty where nothing was found, where the frames have no
+  /// picture, where nothing stands out, and for tasks other than dodging. It asks the signal once more, for pictures of
+  /// closer_look's size, so it is no part of plan(): call it when the command is on its way. Throws what the signal
+  /// throws.
+  virtual cv::Mat outline() { return {}; }
   /// Only remember a frame that there is no time to plan on: pairs can then be as short as the camera's interval.
   virtual void remember(const SkillInput& input) = 0;
   /// Begin anew with the next frame: runs at each activation.

@@ -15,6 +15,11 @@ namespace ajna::skills {
 /// A copy of the frame and of what is known with it.
 Snapshot snapshot_of(const SkillInput& input);
 
+/// Of an RGB image that lives longer.
+inline ImageView view_of(const cv::Mat& image) {
+  return {image.data, image.cols, image.rows, 3, static_cast<std::ptrdiff_t>(image.step[0])};
+}
+
 /// Whether two frames can be a pair.
 inline bool same_size(const Snapshot& a, const Snapshot& b) {
   return a.image.width() == b.image.width() && a.image.height() == b.image.height();

@@ -188,8 +188,13 @@ def _fly(task: str, stamped: Iterator[Stamped], network: Any, fov_rad: float, ra
             continue
         stacked = result.stacked if task == "gap" else output.map
         shown = shown if stacked is None else stacked
-        found = tell(result)
-        yield draw(frame, shown, result, output.command), _line(name, time_s, output.status, output.command, **found)
+        found, extra = tell(result), {}
+        if task == "dodge":
+            outline = skill.outline()
+            found["outline_px"] = None if outline is None else int(outline.sum())
+            extra["outline"] = outline
+        picture = draw(frame, shown, result, output.command, **extra)
+        yield picture, _line(name, time_s, output.status, output.command, **found)
 
 
 def _dodge(result: Any) -> dict[str, Any]:

@@ -120,6 +120,8 @@ class SkillMethod:
             if answer.valid:
                 self._pending.append((count + self._delay, answer.command))
             output.mask, output.decided = answer.mask, answer.decided
+            closer = self._skill.outline()
+            output.mask = answer.mask if closer is None else closer
             if answer.point_px is not None:
                 output.point_px = (float(answer.point_px[0]), float(answer.point_px[1]))
         else:
