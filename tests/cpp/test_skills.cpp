@@ -72,6 +72,18 @@ TEST_F(SkillTest, DodgeDecidesOnce) {
   EXPECT_EQ(again.command.mode, control::CommandMode::kHold) << "but nothing that was decided";
 }
 
+TEST_F(SkillTest, DodgeDecidesOnTwoDetectionsWhereTheyAreAsFarApartAsThree) {
+  for (const auto& [rate_hz, frame] : {std::pair{8.0, 2}, {15.0, 2}, {20.0, 3}, {60.0, 3}}) {
+    const auto skill = make(Task::kDodge, rate_hz);
+    int decided = -1;
+    for (int i = 0; i < 8 && decided < 0; ++i) {
+      draw(80 + 3 * i, 6 + i);
+      decided = skill->plan(at(i / rate_hz)).decided ? i : decided;
+    }
+    EXPECT_EQ(decided, frame) << rate_hz << " Hz";
+  }
+}
+
 /// A picture with a white square on a grey ground.
 Image square_at(int left, int top, int side) {
   Image picture(2 * kWidth, 2 * kHeight);

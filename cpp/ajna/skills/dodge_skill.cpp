@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT
 #include <Eigen/Geometry>
 #include <algorithm>
+#include <cmath>
 #include <utility>
 
 #include "ajna/skills/skill_parts.hpp"
@@ -12,10 +13,13 @@ namespace {
 tasks::DodgeOptions pipeline_options(const SkillOptions& options) {
   constexpr double kMissedPlans = 2.5;
   constexpr double kMissedDetections = 1.5;
+  constexpr double kConfirmed_s = 0.066;  // three frames of a fast camera; fewer of a slow one are as far apart
   tasks::DodgeOptions dodge = options.dodge;
   dodge.horizontal_fov_rad = options.horizontal_fov_rad;
   dodge.max_gap_s = std::max(dodge.max_gap_s, kMissedPlans / options.planning_rate_hz);
   dodge.max_miss_s = std::max(dodge.max_miss_s, kMissedDetections / options.planning_rate_hz);
+  dodge.confirm_frames = std::min(
+      dodge.confirm_frames, std::max(2, 1 + static_cast<int>(std::ceil(kConfirmed_s * options.planning_rate_hz))));
   return dodge;
 }
 
