@@ -123,9 +123,9 @@ class Disc:
         return np.where(disc, np.float32(1.6), np.float32(0.2)).astype(np.float32)
 
 
-@pytest.mark.parametrize(("timing", "calls", "decided", "moved"), [(Timing(), 11, 3, 3), (PAPERS_VEHICLE, 3, 11, 13)])
+@pytest.mark.parametrize(("timing", "calls", "decided", "moved"), [(Timing(), 11, 3, 3), (PAPERS_VEHICLE, 3, 7, 9)])
 def test_dodge_plans_and_acts_when_its_timing_says(timing: Timing, calls: int, decided: int, moved: int) -> None:
-    """Three detections make a decision; at 8 Hz they lie four frames apart, and the command comes two frames later."""
+    """Three detections make a decision; at 8 Hz two, four frames apart, and the command comes two frames later."""
     signal = Disc()
     method = SkillMethod("test", signal, timing)
     method.reset(TaskSetup("dodge", CameraModel(), 0.0, 0.25, 0))
@@ -194,6 +194,16 @@ def test_network_sets_out_through_the_forest_at_8_hz() -> None:
     assert any(output.mask is not None for output in planned)
     assert any(output.point_px is not None for output in planned)
     assert math.isfinite(result.safe_point_error_px)
+    assert math.isfinite(result.safe_point_error_same_px)
+
+
+def test_true_motion_is_where_its_own_judge_is() -> None:
+    world = dataclasses.replace(make_world("forest", 1), time_limit_s=1.5)
+    result = run_episode(world, "ajna-true-motion", reference=False)
+    assert result.safe_point_error_same_px == 0.0, "the same planner on the same maps"
+    assert result.safe_point_error_px > 0.0, "the pilot of true depth chooses otherwise"
+    other = run_episode(world, "d435i", reference=False)
+    assert other.safe_point_error_same_px is None, "no skill"
 
 
 def test_true_flow_looks_at_a_pile() -> None:

@@ -222,6 +222,7 @@ def as_markdown(experiment: str, rows: Sequence[Row]) -> str:
         columns += [
             ("path increase %", "path_increase_percent", 1.0),
             ("safe point error px", "safe_point_error_px", 1.0),
+            ("same, to its own planner's on true motion, px", "safe_point_error_same_px", 1.0),
         ]
     else:
         columns.append(("detection %", "detection_rate", 100.0))

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ajna.sim.camera import Frame
 from ajna.sim.flight import Flight
 from ajna.sim.methods import make_method
+from ajna.sim.methods.skills import SkillMethod
 from ajna.sim.observation import Method, Observation, Output, TaskSetup
 from ajna.sim.render import Renderer
 from ajna.sim.vehicle import Command
@@ -32,6 +33,8 @@ class EpisodeResult:
 
     success: reached the goal, or was not hit, without touching anything (pile: IoU of the mask >= 0.5).
     reason: goal, missed (the object), seen (the pile), collision, outside, or time.
+    safe_point_error_same_px: likewise from the one that the same skill gives on maps of true motion: what its signal
+        costs; None for methods that are no skills.
     detection_iou: of the mask with the true one on the frame on which the method acted; 0: it never did.
     safe_point_error_px: mean distance of the method's point from the one that true depth gives on the same frame.
     decided_s: time of the frame on which the method first acted on a detection; None: it never did.
@@ -59,6 +62,7 @@ class EpisodeResult:
     decided_s: float | None = None
     best_iou: float | None = None
     cpu_s: float | None = None
+    safe_point_error_same_px: float | None = None
     path: list[tuple[float, ...]] = field(default_factory=list)
 
     def to_json(self) -> dict[str, Any]:
@@ -162,15 +166,29 @@ def run_episode(
             own.close()
 
 
+def _mean(values: list[float] | None) -> float | None:
+    return float(np.mean(values)) if values else None
+
+
+def _judges(world: World, method: Method) -> dict[str, Method]:
+    """What says beside a method that navigates where the safe point is: true depth, and a skill's own planner on it."""
+    judges: dict[str, Method] = {}
+    if world.task == "navigate" and method.name != "depth":
+        judges["depth"] = make_method("depth")
+        if isinstance(method, SkillMethod):
+            judges["same"] = method.on_true_motion()
+    for judge in judges.values():
+        judge.reset(_setup_for(world))
+    return judges
+
+
 def _fly(world: World, method: Method, renderer: Renderer, watch: Watcher | None) -> EpisodeResult:
     begin = time.process_time()
     flight = Flight(world, renderer, world.seed)
     method.reset(_setup_for(world))
-    judge = make_method("depth") if world.task == "navigate" and method.name != "depth" else None
-    if judge is not None:
-        judge.reset(_setup_for(world))
+    judges = _judges(world, method)
     command, reason = Command(), None
-    errors: list[float] = []
+    errors: dict[str, list[float]] = {name: [] for name in judges}
     run_times: list[float] = []
     iou: float | None = None if world.task == "navigate" or not getattr(method, "shows_masks", True) else 0.0
     decided_s: float | None = None
@@ -185,10 +203,10 @@ def _fly(world: World, method: Method, renderer: Renderer, watch: Watcher | None
         if output.planned:
             run_times.append(elapsed)
         command = output.command
-        if judge is not None:
+        for name, judge in judges.items():
             ideal = judge(observation).point_px
             if ideal is not None and output.point_px is not None:
-                errors.append(float(np.hypot(*np.subtract(ideal, output.point_px))))
+                errors[name].append(float(np.hypot(*np.subtract(ideal, output.point_px))))
         if output.decided and decided_s is None:
             decided_s = frame.time_s
         if best_iou is not None and decided_s is not None and output.mask is not None:
@@ -213,7 +231,8 @@ def _fly(world: World, method: Method, renderer: Renderer, watch: Watcher | None
         frames=len(flight.path) - 1,
         path_length_m=length,
         mean_speed_m_s=length / flight.time_s,
-        safe_point_error_px=float(np.mean(errors)) if errors else None,
+        safe_point_error_px=_mean(errors.get("depth")),
+        safe_point_error_same_px=_mean(errors.get("same")),
         detection_iou=iou,
         run_time_ms=1e3 * float(np.median(run_times)) if run_times else None,
         decided_s=decided_s,

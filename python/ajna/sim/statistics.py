@@ -35,7 +35,8 @@ def summarize(results: Sequence[EpisodeResult]) -> dict[str, Any]:
     all; cruise_speed_m_s: likewise of their median speed. path_increase_percent: over trials in which both
     the method and true depth reached the goal. detection_rate: share of trials with IoU >= 0.5 on the frame that was
     acted on; detection_rate_best: on any frame from then on.
-    safe_point_error_px: mean over trials of their mean. run_time_ms: median over trials (its interval, too).
+    safe_point_error_px, safe_point_error_same_px: mean over trials of their mean. run_time_ms: median over trials (its
+    interval, too).
     frames_per_cpu_s: frames over the processor time of their trials, pictures, physics, method and judge together.
 
     Raises:
@@ -53,6 +54,7 @@ def summarize(results: Sequence[EpisodeResult]) -> dict[str, Any]:
     ]
     _entry(record, "path_increase_percent", increases)
     _entry(record, "safe_point_error_px", [r.safe_point_error_px for r in results])
+    _entry(record, "safe_point_error_same_px", [r.safe_point_error_same_px for r in results])
     ious = [r.detection_iou for r in results if r.detection_iou is not None]
     _entry(record, "detection_rate", [float(iou >= DETECTION_IOU) for iou in ious])
     _entry(record, "detection_iou", ious)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ajna import tasks
-from ajna.sim.methods.signals import Signal, Source
+from ajna.sim.methods.signals import Signal, Source, TrueMotionSignal
 from ajna.sim.observation import Observation, Output, TaskSetup
 from ajna.sim.vehicle import CAMERA_AHEAD_M, Command
 
@@ -85,6 +85,10 @@ class SkillMethod:
         self.needs: frozenset[str] = signal.needs
         self._signal = signal
         self._timing = timing or Timing()
+
+    def on_true_motion(self) -> SkillMethod:
+        """The same skill at the same times, on maps that tell the truth: for navigating."""
+        return SkillMethod(f"{self.name} on true motion", TrueMotionSignal(), self._timing)
 
     def reset(self, setup: TaskSetup) -> None:
         """Start a trial."""
