@@ -164,6 +164,7 @@ void read_task(YamlSection section, FlightConfig& config) {
   skill.task = static_cast<skills::Task>(kind);
   section.read("max_interval_s", skill.max_interval_s);
   section.read("planning_rate_hz", skill.planning_rate_hz);
+  section.read("latency_s", skill.latency_s);
   section.read("horizontal_fov_rad", skill.horizontal_fov_rad);
   section.read("camera_pitch_rad", config.loop.camera_pitch_rad);
   section.read("use_attitude", config.loop.use_attitude);

@@ -73,6 +73,7 @@ void bind_navigate_policy(py::module_& m) {
   AJNA_FIELD(lookahead_s);
   AJNA_FIELD(weave);
   AJNA_FIELD(weave_hz);
+  AJNA_FIELD(delay_s);
 #undef AJNA_FIELD
   py::class_<Guidance>(m, "Guidance", "What the local planner says of a frame: v_g, v_free (body frame) and w.")
       .def(py::init([](const Eigen::Vector3d& goal, const Eigen::Vector3d& free, double weight) {

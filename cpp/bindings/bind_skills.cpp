@@ -190,6 +190,7 @@ void bind_options(py::module_& m) {
 #define AJNA_FIELD(name) options.def_readwrite(#name, &SkillOptions::name)
   AJNA_FIELD(horizontal_fov_rad);
   AJNA_FIELD(planning_rate_hz);
+  AJNA_FIELD(latency_s);
   AJNA_FIELD(max_interval_s);
   AJNA_FIELD(goal_bearing_rad);
   AJNA_FIELD(dodge);

@@ -692,6 +692,7 @@ class NavigatePolicyOptions:
     lookahead_s: float
     weave: float
     weave_hz: float
+    delay_s: float
     max_acceleration_m_s2: float
     max_forward_m_s2: float
     speed_up_s: float
@@ -934,6 +935,7 @@ class SkillOptions:
     task: str
     horizontal_fov_rad: float
     planning_rate_hz: float
+    latency_s: float
     max_interval_s: float
     goal_bearing_rad: float
     dodge: DodgeOptions

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT
 #include "ajna/control/policies.hpp"
 
+#include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
 #include <string>
@@ -116,11 +117,13 @@ NavigatePolicy::NavigatePolicy(const NavigatePolicyOptions& options)
   require(options.slow_down >= 0.0 && options.slow_down < 1.0, "navigate policy: give slow_down from 0 to below 1");
   require(options.weave >= 0.0 && options.weave_hz >= 0.0, "navigate policy: give weave and weave_hz from 0");
   require(options.speed_up_s > 0.0, "navigate policy: give a positive speed_up_s");
+  require(options.delay_s >= 0.0 && options.delay_s <= 2.0, "navigate policy: give delay_s from 0 to 2");
 }
 
 void NavigatePolicy::reset() noexcept {
   direction_.reset();
   yaw_.reset();
+  given_.clear();
   answered_s_.reset();
   last_s_.reset();
   swung_s_ = 0.0;
@@ -141,6 +144,7 @@ Command NavigatePolicy::update(const std::optional<Guidance>& guidance, double t
   if (!answered_s_ || time_s - *answered_s_ > options_.lookahead_s) {
     direction_.reset();
     yaw_.reset();
+    given_.clear();
     return last_ = Command::hold();
   }
   const Eigen::Vector3d desired = desired_direction(guidance_);
@@ -156,18 +160,39 @@ Command NavigatePolicy::update(const std::optional<Guidance>& guidance, double t
     wanted.y() += swing * std::cos(2.0 * M_PI * options_.weave_hz * swung_s_);
     swung_s_ += dt_s;
   }
-  const Eigen::Vector3d current = measured ? *velocity_m_s : Eigen::Vector3d(speed, 0.0, 0.0);
+  // Velocity and heading when the command will act.
+  const auto [gained_m_s, turned_rad] = pending(time_s);
+  const Eigen::Vector3d current =
+      measured ? Eigen::Vector3d(*velocity_m_s + gained_m_s) : Eigen::Vector3d(speed, 0.0, 0.0);
   Command command;
   command.mode = CommandMode::kAcceleration;
   command.velocity_m_s = speed * desired;
   Eigen::Vector3d asked = direction_.update(wanted - current, dt_s);
   asked.x() = std::min({asked.x(), options_.max_forward_m_s2, options_.speed_m_s / options_.speed_up_s});
-  asked = limit_norm(asked, options_.max_acceleration_m_s2);
+  asked = Eigen::AngleAxisd(-turned_rad, Eigen::Vector3d::UnitZ()) * limit_norm(asked, options_.max_acceleration_m_s2);
   command.acceleration_m_s2 =
       last_.acceleration_m_s2 +
       limit_norm(asked - last_.acceleration_m_s2, options_.max_jerk_m_s3 * std::max(dt_s, kFirstStep_s));
-  command.yaw_rate_rad_s = yaw_.update(std::atan2(desired.y(), desired.x()), dt_s);
+  command.yaw_rate_rad_s = yaw_.update(std::atan2(desired.y(), desired.x()) - turned_rad, dt_s);
+  if (options_.delay_s > 0.0) {
+    given_.push_back({time_s, command.acceleration_m_s2, command.yaw_rate_rad_s});
+  }
   return last_ = command;
+}
+
+NavigatePolicy::Pending NavigatePolicy::pending(double time_s) {
+  const double since_s = time_s - options_.delay_s;
+  while (given_.size() > 1 && given_[1].time_s <= since_s) {
+    given_.pop_front();
+  }
+  Pending sum;
+  for (std::size_t i = 0; i < given_.size(); ++i) {
+    const double until_s = i + 1 < given_.size() ? given_[i + 1].time_s : time_s;
+    const double lasting_s = std::max(0.0, until_s - std::max(given_[i].time_s, since_s));
+    sum.gained_m_s += lasting_s * given_[i].acceleration_m_s2;
+    sum.turned_rad += lasting_s * given_[i].yaw_rate_rad_s;
+  }
+  return sum;
 }
 
 // --- Gap -------------------------------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <deque>
 #include <optional>
 
 #include "ajna/control/command.hpp"
@@ -61,6 +62,8 @@ struct NavigatePolicyOptions {
   double weave = 0.125;   ///< sideways swing of a vehicle with known velocity, as a share of the cruise speed: what it
                           ///< flies straight at has no motion to be seen by; less below half that speed, none at rest
   double weave_hz = 0.7;  ///< of the swing
+  double delay_s = 0.0;   ///< from a measurement to when its command acts, on average: what the commands before it do
+                          ///< until then is counted on, or a late loop swings
 
   NavigatePolicyOptions();
 };
@@ -88,7 +91,20 @@ class NavigatePolicy {
   void reset() noexcept;
 
  private:
+  struct Given {
+    double time_s;
+    Eigen::Vector3d acceleration_m_s2;
+    double yaw_rate_rad_s;
+  };
+  /// What commands that were given and have not acted yet will still change.
+  struct Pending {
+    Eigen::Vector3d gained_m_s = Eigen::Vector3d::Zero();
+    double turned_rad = 0.0;
+  };
+  Pending pending(double time_s);
+
   NavigatePolicyOptions options_;
+  std::deque<Given> given_;  ///< of the last delay_s, and one before
   VectorPid direction_;
   Pid yaw_;
   Guidance guidance_;

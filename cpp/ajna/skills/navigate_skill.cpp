@@ -18,6 +18,28 @@ tasks::NavigateOptions pipeline_options(const SkillOptions& options) {
   return navigate;
 }
 
+/// How much later a command acts than it does where planning keeps pace with a camera of 30 Hz, for which the gains
+/// are.
+double delay_s(const SkillOptions& options) {
+  constexpr double kUsual_hz = 30.0;
+  return options.latency_s + std::max(0.0, 0.5 / options.planning_rate_hz - 0.5 / kUsual_hz);
+}
+
+tasks::CorridorOptions corridor_options(const SkillOptions& options) {
+  tasks::CorridorOptions corridor = options.corridor;
+  corridor.lag_s += delay_s(options);
+  // What is seen late has been turned towards already: to change sides then costs more. Per second of delay.
+  constexpr double kKeep_per_s = 6.0;
+  corridor.keep_weight += kKeep_per_s * delay_s(options);
+  return corridor;
+}
+
+control::NavigatePolicyOptions policy_options(const SkillOptions& options) {
+  control::NavigatePolicyOptions policy = options.navigate_policy;
+  policy.delay_s += delay_s(options);
+  return policy;
+}
+
 double turn_between(const Attitude& a, const Attitude& b) {
   const Eigen::Matrix3d turn = a.world_from_camera().transpose() * b.world_from_camera();
   return std::abs(Eigen::AngleAxisd(turn).angle());
@@ -36,8 +58,8 @@ class NavigateSkill final : public Skill {
         memory_(max_age_s_),
         way_(options.corridor.camera_ahead_m, max_age_s_),
         pipeline_(pipeline_options(options)),
-        planner_(options.corridor, options.occupancy),
-        policy_(options.navigate_policy) {
+        planner_(corridor_options(options), options.occupancy),
+        policy_(policy_options(options)) {
     tasks::validate(options.horizon);
   }
 

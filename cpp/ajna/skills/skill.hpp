@@ -31,6 +31,7 @@ struct SkillOptions {
   Task task = Task::kDodge;
   double horizontal_fov_rad = 1.2;
   double planning_rate_hz = 30.0;  ///< frames that are planned on: limits in frames follow from it
+  double latency_s = 0.0;          ///< navigate: from a frame to when its command acts
   double max_interval_s = 0.2;     ///< between the frames of a pair; frames further apart are not compared
   double goal_bearing_rad = 0.0;   ///< navigate, where no goal is given: to the right of the heading at the beginning
 

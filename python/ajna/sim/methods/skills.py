@@ -56,12 +56,13 @@ PAPERS_VEHICLE = Timing(rate_hz=8.0, latency_s=0.049)
 COAST_S = 2.0
 
 
-def skill_options(setup: TaskSetup, planning_rate_hz: float) -> tasks.SkillOptions:
+def skill_options(setup: TaskSetup, planning_rate_hz: float, latency_s: float = 0.0) -> tasks.SkillOptions:
     """The options of the skill for a task of the simulation ("dodge", "navigate" or "gap")."""
     options = tasks.SkillOptions()
     options.task = setup.task
     options.horizontal_fov_rad = setup.camera.horizontal_fov_rad
     options.planning_rate_hz = planning_rate_hz
+    options.latency_s = latency_s
     if setup.task == "navigate":
         options.navigate_policy.speed_m_s = setup.speed_m_s
         options.corridor.camera_ahead_m = CAMERA_AHEAD_M
@@ -101,7 +102,7 @@ class SkillMethod:
         if setup.task == "pile":
             self._skill = PileSkill(source)
         else:
-            options = skill_options(setup, setup.camera.rate_hz / self._every)
+            options = skill_options(setup, setup.camera.rate_hz / self._every, self._delay / setup.camera.rate_hz)
             self._signal.adapt(options)
             self._skill = tasks.Skill(options, source)
         self._autopilot = Autopilot()
