@@ -153,9 +153,11 @@ def test_methods_and_tables() -> None:
     for name in ("ajna", "ajna-8hz", "ajna-true-flow", "ajna-true-flow-8hz"):
         assert METHODS[name].timing is not None
         assert METHODS[name].takes_checkpoint == (not name.startswith("ajna-true"))
-    assert METHODS["ajna-true-motion"].tasks == {"navigate"}
+    motion = {"ajna-true-motion", "ajna-true-motion-8hz"}
+    assert all(METHODS[name].tasks == {"navigate"} for name in motion)
     for experiment, rows in EXPERIMENTS.items():
-        assert ("ajna-true-motion" in {row.method for row in rows}) == (task_of(experiment) == "navigate")
+        shown = motion & {row.method for row in rows}
+        assert shown == (motion if task_of(experiment) == "navigate" else set())
         assert {"ajna", "ajna-true-flow"} <= {row.method for row in rows}, experiment
     with pytest.raises(ValueError, match="takes no weights"):
         make_method("ajna-true-flow", "some.safetensors")

@@ -55,6 +55,9 @@ METHODS: dict[str, MethodInfo] = {
     "ajna-true-flow": MethodInfo("Ajna on true flow", _ALL, TrueFlowSignal, timing=Timing()),
     "ajna-true-flow-8hz": MethodInfo("Ajna on true flow, at 8 Hz", _ALL, TrueFlowSignal, timing=PAPERS_VEHICLE),
     "ajna-true-motion": MethodInfo("Ajna on true motion", frozenset({"navigate"}), TrueMotionSignal, timing=Timing()),
+    "ajna-true-motion-8hz": MethodInfo(
+        "Ajna on true motion, at 8 Hz", frozenset({"navigate"}), TrueMotionSignal, timing=PAPERS_VEHICLE
+    ),
     "flight": MethodInfo("Ajna, flight program", FlightProgram.tasks, FlightProgram, takes_checkpoint=True, whole=True),
     "depth": MethodInfo("true depth", _ALL, lambda: DepthPerception(TrueDepthSensor)),
     "d435i": MethodInfo("D435i (model)", _ALL, lambda: DepthPerception(D435iSensor)),
