@@ -27,9 +27,9 @@ double delay_s(const SkillOptions& options) {
 
 tasks::CorridorOptions corridor_options(const SkillOptions& options) {
   tasks::CorridorOptions corridor = options.corridor;
-  corridor.lag_s += delay_s(options);
-  // What is seen late has been turned towards already: to change sides then costs more. Per second of delay.
-  constexpr double kKeep_per_s = 6.0;
+  // What is seen late has been turned towards already: to change sides then costs more. (A longer lag of the planner's
+  // vehicle flew worse: it then takes no way between trunks.)
+  constexpr double kKeep_per_s = 3.4;
   corridor.keep_weight += kKeep_per_s * delay_s(options);
   return corridor;
 }
