@@ -322,9 +322,8 @@ void bind_skills(py::module_& m) {
             return to_mask(mask);
           },
           "What the last plan found, outlined more sharply than its mask by a closer look at enlarged pictures: bool "
-          "[H, W]; None where nothing was found or stands out, without pictures, and for other tasks than dodging. "
-          "Runs "
-          "the network once more: call it when the command is on its way.")
+          "[H, W]; None where nothing was found or stands out, without pictures, and for other tasks. "
+          "Runs the network once more: call it when the command is on its way.")
       .def("begin", &Skill::begin, "Begin anew with the next frame.");
 }
 

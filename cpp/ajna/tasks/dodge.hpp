@@ -27,8 +27,8 @@ struct DodgeOptions {
   double min_contrast = 1.7;      ///< a region's mean over the mean outside
   double min_uncertainty = 0.25;  ///< and its mean, in units of the map; where the background is known, its threshold
   bool convex = true;             ///< the obstacle is the convex hull of its region: rims are seen before the inside
-  int confirm_frames =
-      3;  ///< detections in a row that make a direction (in a Skill that plans at 15 Hz or less: 2) ...
+  /// Detections in a row that make a direction (at most 2 in a Skill that plans at 15 Hz or less) ...
+  int confirm_frames = 3;
   double confirm_s = 0.2;   ///< ... over at least so long if it hardly moves in the image, as a light that goes on
                             ///< does: that is seen for as long as a pair spans
   double min_move = 0.01;   ///< along the track, in image heights: less is hardly
