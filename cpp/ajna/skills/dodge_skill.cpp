@@ -55,8 +55,7 @@ class DodgeSkill final : public Skill {
     const Snapshot first = closer(found_->now, found_->now.image.view(), look);
     Snapshot second;
     if (found_->now.attitude && found_->before.attitude) {
-      const Eigen::Matrix3d turn =
-          found_->now.attitude->world_from_camera().transpose() * found_->before.attitude->world_from_camera();
+      const Eigen::Matrix3d turn = found_->now.attitude->turn_from(*found_->before.attitude);
       const auto still = tasks::derotate_frame(found_->before.image.view(), turn, horizontal_fov_rad_);
       second = closer(found_->before, view_of(still.image), look);
     } else {
@@ -121,8 +120,7 @@ class DodgeSkill final : public Skill {
     if (!before || !now.attitude || now.captured_s <= before->time_s) {
       return std::nullopt;
     }
-    const Eigen::AngleAxisd turn(
-        Eigen::Matrix3d(before->attitude.world_from_camera().transpose() * now.attitude->world_from_camera()));
+    const Eigen::AngleAxisd turn(before->attitude.turn_from(*now.attitude));
     return Eigen::Vector3d(turn.axis() * (turn.angle() / (now.captured_s - before->time_s)));
   }
 

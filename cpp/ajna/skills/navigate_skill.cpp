@@ -41,8 +41,7 @@ control::NavigatePolicyOptions policy_options(const SkillOptions& options) {
 }
 
 double turn_between(const Attitude& a, const Attitude& b) {
-  const Eigen::Matrix3d turn = a.world_from_camera().transpose() * b.world_from_camera();
-  return std::abs(Eigen::AngleAxisd(turn).angle());
+  return std::abs(Eigen::AngleAxisd(a.turn_from(b)).angle());
 }
 
 /// Fly to the goal through what is free. Pairs span some time, so that what is near has moved by some pixels, and the

@@ -23,6 +23,10 @@ Eigen::Matrix3d Attitude::world_from_camera() const {
   return turn * heading_from_camera;
 }
 
+Eigen::Matrix3d Attitude::turn_from(const Attitude& other) const {
+  return world_from_camera().transpose() * other.world_from_camera();
+}
+
 const char* to_string(CommonMotion motion) noexcept {
   switch (motion) {
     case CommonMotion::kNone:
@@ -47,9 +51,8 @@ Signal network_signal(InferFunction infer, double horizontal_fov_rad, tasks::Sca
     if (common == CommonMotion::kPlane) {
       aligned = tasks::align_to(reference, second.image.view());
     } else if (common == CommonMotion::kRotation && first.attitude && second.attitude) {
-      const Eigen::Matrix3d turn =
-          first.attitude->world_from_camera().transpose() * second.attitude->world_from_camera();
-      aligned = tasks::derotate_frame(second.image.view(), turn, horizontal_fov_rad);
+      aligned =
+          tasks::derotate_frame(second.image.view(), first.attitude->turn_from(*second.attitude), horizontal_fov_rad);
     }
     infer(reference, aligned.image.empty() ? second.image.view() : view_of(aligned.image), *field, second.captured_s);
     SignalMap result;

@@ -29,6 +29,8 @@ struct Attitude {
   static Eigen::Matrix3d level();
   /// From the camera's axes to axes that do not turn with the vehicle.
   [[nodiscard]] Eigen::Matrix3d world_from_camera() const;
+  /// How the camera has turned: from its axes at `other` to its axes here.
+  [[nodiscard]] Eigen::Matrix3d turn_from(const Attitude& other) const;
 };
 
 /// A frame that is remembered, with what was known when it was taken.

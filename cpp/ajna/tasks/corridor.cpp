@@ -8,6 +8,7 @@
 #include <opencv2/imgproc.hpp>
 
 #include "ajna/base/range.hpp"
+#include "ajna/tasks/bilinear.hpp"
 
 namespace ajna::tasks {
 namespace {
@@ -66,18 +67,8 @@ void CorridorPlanner::reset() noexcept {
 double CorridorPlanner::clearance(const Eigen::Vector2d& point_m) const {
   const double y = (point_m.y() + options_.horizon_m) / kPixel_m;
   const double x = (point_m.x() + kBehind_m) / kPixel_m;
-  const int row = cvFloor(y);
-  const int column = cvFloor(x);
-  if (row < 0 || row + 1 >= clearance_.rows || column < 0 || column + 1 >= clearance_.cols) {
-    return options_.horizon_m;
-  }
-  const auto at = [&](int down, int right) {
-    return static_cast<double>(clearance_.at<float>(row + down, column + right));
-  };
-  const double right = x - column;
-  const double down = y - row;
-  return (1.0 - down) * ((1.0 - right) * at(0, 0) + right * at(0, 1)) +
-         down * ((1.0 - right) * at(1, 0) + right * at(1, 1));
+  const bool inside = y >= 0.0 && y < clearance_.rows - 1 && x >= 0.0 && x < clearance_.cols - 1;
+  return inside ? bilinear(clearance_, y, x) : options_.horizon_m;
 }
 
 void CorridorPlanner::measure() {

@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "ajna/base/error.hpp"
+#include "ajna/tasks/bilinear.hpp"
 
 namespace ajna::tasks {
 namespace {
@@ -83,14 +84,8 @@ double CostToGo::at(const Eigen::Vector2d& point_m) const {
   }
   const double x = std::clamp((point_m.x() + behind_m_) / kNode_m, 0.0, value_.cols - 1.001);
   const double y = std::clamp((point_m.y() + side_m_) / kNode_m, 0.0, value_.rows - 1.001);
-  const int column = static_cast<int>(x);
-  const int row = static_cast<int>(y);
-  const double right = x - column;
-  const double down = y - row;
-  const auto value = [&](int i, int j) { return static_cast<double>(value_.at<float>(row + i, column + j)); };
-  const double inside = (1.0 - down) * ((1.0 - right) * value(0, 0) + right * value(0, 1)) +
-                        down * ((1.0 - right) * value(1, 0) + right * value(1, 1));
-  return inside + (Eigen::Vector2d(x * kNode_m - behind_m_, y * kNode_m - side_m_) - point_m).norm();
+  const double outside_m = (Eigen::Vector2d(x * kNode_m - behind_m_, y * kNode_m - side_m_) - point_m).norm();
+  return bilinear(value_, y, x) + outside_m;
 }
 
 Eigen::Vector2d CostToGo::downhill(const Eigen::Vector2d& point_m) const {
