@@ -165,7 +165,9 @@ def test_unusable_options_are_refused_by_name(
     assert not list(tmp_path.rglob("*.ckpt"))
 
 
-@pytest.mark.parametrize("name", ["synthetic", "synthetic_continue", "synthetic_mix", "synthetic_tasks", "ablation"])
+@pytest.mark.parametrize(
+    "name", ["synthetic", "synthetic_continue", "synthetic_mix", "synthetic_tasks", "synthetic_long", "ablation"]
+)
 def test_the_configs_are_valid(name: str) -> None:
     from ajna.training.cli import TrainCLI
 
