@@ -163,7 +163,9 @@ void read_task(YamlSection section, FlightConfig& config) {
   section.read_choice("kind", {"dodge", "navigate", "gap"}, kind);
   skill.task = static_cast<skills::Task>(kind);
   section.read("max_interval_s", skill.max_interval_s);
+  config.timed_rate = !section.has("planning_rate_hz");
   section.read("planning_rate_hz", skill.planning_rate_hz);
+  config.timed_latency = !section.has("latency_s");
   section.read("latency_s", skill.latency_s);
   section.read("horizontal_fov_rad", skill.horizontal_fov_rad);
   section.read("camera_pitch_rad", config.loop.camera_pitch_rad);

@@ -27,6 +27,8 @@ struct FlightConfig {
   flight::RcOutputOptions rc;
   flight::AttitudeOutputOptions attitude;
   skills::SkillOptions skill;
+  bool timed_rate = true;     ///< skill.planning_rate_hz is not given: to be timed on this computer
+  bool timed_latency = true;  ///< skill.latency_s is not given: to be timed on this computer
   flight::LoopOptions loop;
   flight::LogOptions log;
   double time_scale = 1.0;  ///< of the clock, below 1 for simulations that are slower than time

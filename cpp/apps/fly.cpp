@@ -4,6 +4,7 @@
 #include <spdlog/async.h>
 #include <spdlog/spdlog.h>
 
+#include <algorithm>
 #include <array>
 #include <csignal>
 #include <cstdlib>
@@ -113,10 +114,12 @@ void check_files(const FlightConfig& config) {
   }
 }
 
-/// Say beforehand where this computer is too slow for the configured time-out: releases in flight would tell later.
-void check_speed(const skills::InferFunction& infer, const FlightConfig& config) {
+/// Time the network on this computer: tell the skill how late it plans where the configuration does not, and say
+/// beforehand where that is too late for the configured time-out: releases in flight would tell later.
+void take_time(const skills::InferFunction& infer, FlightConfig& config) {
   const double pair_s = flight::inference_s(infer, config.loop.width, config.loop.height);
-  const double oldest_s = flight::oldest_command_s(pair_s, 1.0 / config.source.rate_hz);
+  const double interval_s = 1.0 / config.source.rate_hz;
+  const double oldest_s = flight::oldest_command_s(pair_s, interval_s);
   const double limit_s = config.loop.safety.command_timeout_s;
   spdlog::info("a pair takes {:.0f} ms here: at {:g} frames/s (source.rate_hz), commands get up to {:.0f} ms old",
                pair_s * 1e3, config.source.rate_hz, oldest_s * 1e3);
@@ -127,6 +130,18 @@ void check_speed(const skills::InferFunction& infer, const FlightConfig& config)
         "model.height_px, or a quicker computer",
         limit_s * 1e3);
   }
+  const flight::Pace pace = flight::pace(pair_s, interval_s, config.source.latency_s);
+  skills::SkillOptions& skill = config.skill;
+  if (config.timed_rate) {
+    skill.planning_rate_hz =
+        std::clamp(pace.planning_rate_hz, skills::kSlowestPlanning_hz, skills::kFastestPlanning_hz);
+  }
+  if (config.timed_latency) {
+    skill.latency_s = std::min(pace.latency_s, skills::kLongestLatency_s);
+  }
+  spdlog::info("planning at {:.1f} frames/s{}, {:.0f} ms late{}", skill.planning_rate_hz,
+               config.timed_rate ? "" : " (task.planning_rate_hz)", skill.latency_s * 1e3,
+               config.timed_latency ? "" : " (task.latency_s)");
 }
 
 void log_start(flight::FlightLog& log, const FlightConfig& config, const engine::ModelInfo& info, bool dry_run) {
@@ -146,6 +161,8 @@ void log_start(flight::FlightLog& log, const FlightConfig& config, const engine:
                 .add("model_path", info.path)
                 .add("precision", info.precision)
                 .add("task", skills::to_string(config.skill.task))
+                .add("planning_rate_hz", config.skill.planning_rate_hz)
+                .add("latency_s", config.skill.latency_s)
                 .add("source", flight::to_string(config.source.kind))
                 .add("endpoint", config.endpoint_text)
                 .add("output", flight::to_string(config.output))
@@ -206,7 +223,7 @@ int fly(const std::string& config_path, bool dry_run) {
   engine->warm_up(config.loop.width, config.loop.height);
   flight::test_model(infer, config.loop.width, config.loop.height);
   spdlog::info("model self-test at {}x{}: passed", config.loop.width, config.loop.height);
-  check_speed(infer, config);
+  take_time(infer, config);
 
   auto log = std::make_unique<flight::FlightLog>(config.log);
   if (!config.log.folder.empty()) {

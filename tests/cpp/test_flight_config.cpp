@@ -54,6 +54,14 @@ TEST(FlightConfig, TheSmallestOneHasSafeDefaults) {
   EXPECT_EQ(config.endpoint.baud, 921600);
 }
 
+TEST(FlightConfig, WhatIsNotSaidOfTheComputersPaceIsTimed) {
+  const auto timed = load_config(AJNA_FLIGHT_EXAMPLE);
+  EXPECT_TRUE(timed.timed_rate && timed.timed_latency);
+  const auto given = parse_config(std::string(kSmallest) + "task: {planning_rate_hz: 15, latency_s: 0}\n", "test.yaml");
+  EXPECT_FALSE(given.timed_rate || given.timed_latency);
+  EXPECT_EQ(given.skill.planning_rate_hz, 15.0);
+}
+
 TEST(FlightConfig, TheDocumentedExampleIsValidAndStatesTheDefaults) {
   const auto example = load_config(AJNA_FLIGHT_EXAMPLE);
   const auto plain = parse_config(kSmallest, "test.yaml");

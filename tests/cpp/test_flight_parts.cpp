@@ -248,6 +248,15 @@ TEST(SelfTest, KnowsHowOldCommandsGet) {
   EXPECT_DOUBLE_EQ(oldest_command_s(0.05, 0.03), 0.13);  // waits for the network, which then has the next one to do
 }
 
+TEST(SelfTest, KnowsHowLateTheComputerPlans) {
+  const Pace quick = pace(0.02, 0.04, 0.01);
+  EXPECT_DOUBLE_EQ(quick.planning_rate_hz, 25.0);  // every frame, at once
+  EXPECT_DOUBLE_EQ(quick.latency_s, 0.03);
+  const Pace slow = pace(0.1, 0.04, 0.01);
+  EXPECT_DOUBLE_EQ(slow.planning_rate_hz, 10.0);  // the newest frame, which has waited for 0 to 0.04 s
+  EXPECT_DOUBLE_EQ(slow.latency_s, 0.13);
+}
+
 TEST(Source, FolderWithTimeStampsIsPlayedAtThem) {
   const io::testing::TempFolder temp;
   const fs::path& folder = temp.path();

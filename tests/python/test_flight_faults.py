@@ -162,6 +162,7 @@ def test_signals_release_and_end(start: Callable[..., Rig], number: signal.Signa
     kinds = {line["type"] for line in lines}
     assert kinds == {"start", "frame", "state", "event", "end"}
     assert lines[0]["type"] == "start" and lines[-1]["type"] == "end"
+    assert 0.0 < lines[0]["latency_s"] < 1.0  # timed on this computer
     assert lines[-1]["commands_sent"] == len(rig.autopilot.overrides)
 
 

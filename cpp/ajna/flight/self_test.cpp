@@ -122,4 +122,9 @@ double oldest_command_s(double inference_s, double frame_interval_s) noexcept {
   return frame_interval_s + (inference_s > frame_interval_s ? 2.0 : 1.0) * inference_s;
 }
 
+Pace pace(double inference_s, double frame_interval_s, double camera_latency_s) noexcept {
+  const double waited_s = inference_s > frame_interval_s ? 0.5 * frame_interval_s : 0.0;
+  return {1.0 / std::max(inference_s, frame_interval_s), camera_latency_s + waited_s + inference_s};
+}
+
 }  // namespace ajna::flight

@@ -21,4 +21,13 @@ double inference_s(const skills::InferFunction& infer, int width, int height);
 /// longer than a frame interval, the network is busy when a frame comes, and twice until the next command is there.
 double oldest_command_s(double inference_s, double frame_interval_s) noexcept;
 
+/// How a computer keeps up with a camera.
+struct Pace {
+  double planning_rate_hz;  ///< frames that are looked at
+  double latency_s;         ///< mean time from a frame's exposure to its command
+};
+/// Of a network that takes `inference_s` a pair. Where that is longer than a frame interval, the newest frame has
+/// waited for half of one when its turn comes. `camera_latency_s`: from exposure to delivery.
+Pace pace(double inference_s, double frame_interval_s, double camera_latency_s) noexcept;
+
 }  // namespace ajna::flight

@@ -46,8 +46,8 @@ const char* to_string(Task task) noexcept {
 
 void validate(const SkillOptions& options) {
   require_between("task.horizontal_fov_rad", options.horizontal_fov_rad, 0.1, 3.0);
-  require_between("task.planning_rate_hz", options.planning_rate_hz, 2.0, 200.0);
-  require_between("task.latency_s", options.latency_s, 0.0, 1.0);
+  require_between("task.planning_rate_hz", options.planning_rate_hz, kSlowestPlanning_hz, kFastestPlanning_hz);
+  require_between("task.latency_s", options.latency_s, 0.0, kLongestLatency_s);
   require_between("task.max_interval_s", options.max_interval_s, 0.01, 1.0);
   require_between("task.goal_bearing_rad", options.goal_bearing_rad, -3.15, 3.15);
   require_between("task.dodge_pair_s", options.dodge_pair_s, 0.0, options.max_interval_s);

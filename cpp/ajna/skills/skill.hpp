@@ -27,6 +27,11 @@ namespace ajna::skills {
 enum class Task : std::uint8_t { kDodge, kNavigate, kGap };
 const char* to_string(Task task) noexcept;
 
+/// Limits of SkillOptions::planning_rate_hz and latency_s.
+inline constexpr double kSlowestPlanning_hz = 2.0;
+inline constexpr double kFastestPlanning_hz = 200.0;
+inline constexpr double kLongestLatency_s = 1.0;
+
 struct SkillOptions {
   Task task = Task::kDodge;
   double horizontal_fov_rad = 1.2;
