@@ -6,6 +6,7 @@ The uncertainty of the classical ones is the forward-backward distance: how far 
 it follows the flow from frame 1 to frame 2 and the flow back. :mod:`ajna.baselines.sampled` holds the others.
 """
 
+from ajna.baselines.aligned import Aligned, AlignedField
 from ajna.baselines.classical import (
     BASELINES,
     BaselineField,
@@ -35,6 +36,8 @@ from ajna.baselines.sampled import (
 __all__ = [
     "BASELINES",
     "SAMPLED",
+    "Aligned",
+    "AlignedField",
     "BaselineField",
     "Cost",
     "CostedMethod",

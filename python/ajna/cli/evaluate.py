@@ -71,6 +71,9 @@ def evaluate(
             "may be repeated, also beside --model."
         ),
     ] = None,
+    align: Annotated[
+        bool, typer.Option("--align", help="Each model once more on pairs without the motion of their largest plane.")
+    ] = False,
     size: Annotated[
         str, typer.Option(help="WIDTHxHEIGHT at which all is run and scored, or 'full' for each pair's own.")
     ] = "320x240",
@@ -102,7 +105,7 @@ def evaluate(
     if out is not None:
         check_folder(out)
     data = open_dataset(dataset, root, _split(cases), skip_bad, parse_options(option), scoring=True)
-    methods = _methods(model or [], _split(method), device, threads)
+    methods = _methods(model or [], _split(method), device, threads, align)
     total, done = len(data) * len(methods), 0
     with (
         staged_folder(out) if out is not None else nullcontext() as stage,
@@ -133,10 +136,12 @@ def _split(values: Iterable[str] | None) -> list[str]:
     return [part for value in values or () for part in value.split(",") if part]
 
 
-def _methods(models: list[str], baselines: list[str], device: str, threads: int | None) -> dict[str, FlowMethod]:
+def _methods(
+    models: list[str], baselines: list[str], device: str, threads: int | None, align: bool
+) -> dict[str, FlowMethod]:
     """Name -> method, models first; the shipped model if nothing is asked for."""
     import ajna
-    from ajna.baselines import BASELINES, SAMPLED, SamplingOptions, make_baseline, make_sampled
+    from ajna.baselines import BASELINES, SAMPLED, Aligned, SamplingOptions, make_baseline, make_sampled
 
     if "all" in baselines:
         baselines = list(dict.fromkeys([name for name in baselines if name != "all"] + list(BASELINES)))
@@ -149,6 +154,8 @@ def _methods(models: list[str], baselines: list[str], device: str, threads: int 
             raise ValueError(f"two models are named '{name}' ({', '.join(models)}); rename one of the files.")
         methods[name] = ajna.load(model, device=device, threads=threads)
     loaded: list[Any] = list(methods.values())
+    if align:
+        methods |= {f"{name}-aligned": Aligned(method) for name, method in methods.items()}
     for name in baselines:
         if name in SAMPLED:
             methods[name] = make_sampled(name, loaded[0], loaded, SamplingOptions(device=device))

@@ -202,6 +202,9 @@ def presets(
         list[str] | None, typer.Option(help="Only this preset; may be repeated. Default: all (`ajna synth presets`).")
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of scenes and textures.")] = 1,
+    align: Annotated[
+        bool, typer.Option("--align", help="Each model once more on pairs without the motion of their largest plane.")
+    ] = False,
     size: Annotated[str, typer.Option(help="WIDTHxHEIGHT of the scenes.")] = "320x240",
     device: DeviceOption = "cpu",
     as_json: JsonOption = False,
@@ -214,7 +217,7 @@ def presets(
     from rich.progress import Progress
 
     import ajna
-    from ajna.baselines import make_baseline
+    from ajna.baselines import Aligned, make_baseline
     from ajna.cli.options import parse_size
     from ajna.studies import presets as study_of
 
@@ -222,6 +225,8 @@ def presets(
     assert wanted is not None
     options = study_of.PresetOptions(scenes, seed, *wanted, tuple(preset or ()))
     methods: dict[str, Any] = {name: ajna.load(name, device=device) for name in model or ["best"]}
+    if align:
+        methods |= {f"{name}-aligned": Aligned(loaded) for name, loaded in methods.items()}
     methods |= {name: make_baseline(name) for name in method or []}
     with Progress(console=Console(stderr=True), disable=not sys.stderr.isatty()) as bar:
         task = bar.add_task("scenes", total=1.0)
