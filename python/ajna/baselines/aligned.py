@@ -32,7 +32,8 @@ class Aligned:
     """``method`` after :func:`ajna.tasks.align_to`: frame 2 is warped by the homography that most tracked corners agree
     on, the method sees what else moves, and its flow p -> q is carried back by the homography H: p -> H(q).
 
-    Where the warped frame has no picture the method sees its border repeated. Pairs without a plane are left as they are.
+    Where the warped frame has no picture the method sees its border repeated. Pairs without a plane are left as they
+    are.
     """
 
     def __init__(self, method: FlowMethod) -> None:
