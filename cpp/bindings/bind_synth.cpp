@@ -159,6 +159,7 @@ void bind_synth(py::module_& m) {
   AJNA_FIELD(table_tilt_deg);
   AJNA_FIELD(plane_tilt);
   AJNA_FIELD(independent_probability);
+  AJNA_FIELD(aligned_probability);
   AJNA_FIELD(blur_probability);
   AJNA_FIELD(shutter);
   AJNA_FIELD(defocus_probability);

@@ -819,6 +819,7 @@ class Region:
     def touches_border(self) -> bool: ...
 
 class SceneConfig:
+    aligned_probability: float
     attached_probability: float
     background_ratio: float
     bank_size: int

@@ -169,3 +169,40 @@ def test_every_preset_is_documented_with_its_sheet() -> None:
         assert sheet.stat().st_size <= 200_000, name
     for option in synth.augment_options():
         assert f"`{option}`" in page, option
+
+
+def homography_of(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Least squares by the direct linear transformation, from [N, 2] to [N, 2]."""
+    one, zero = np.ones((len(start), 1)), np.zeros((len(start), 3))
+    ray = np.hstack([start, one])
+    rows = np.vstack(
+        [np.hstack([ray, zero, -end[:, :1] * ray]), np.hstack([zero, ray, -end[:, 1:] * ray])]
+    )  # fmt: skip
+    return np.linalg.svd(rows)[2][-1].reshape(3, 3)
+
+
+def test_in_aligned_scenes_the_largest_plane_holds_still() -> None:
+    options = {**SMALL, "preset": "gap", "static_probability": 0.0}
+    seed, size = 3, (4, 60, 80)
+    moving = synth.PairGenerator(options)(*size, seed)
+    still = synth.PairGenerator({**options, "aligned_probability": 1.0})(*size, seed)
+    assert torch.equal(moving.layer1, still.layer1)
+    grid = np.stack(np.meshgrid(np.arange(80.0), np.arange(60.0)), axis=-1)
+    for layer, before, after in zip(moving.layer1[:, 0].numpy(), moving.flow, still.flow, strict=True):
+        plate = layer == layer.max()
+        ends = grid + before.permute(1, 2, 0).numpy()
+        kept = after.permute(1, 2, 0).numpy()
+        assert np.abs(kept[plate]).max() < 1e-3 < np.abs(ends - grid)[plate].max()
+        # What else moves does so relative to the plate: the plate's homography leads to where it was seen before.
+        homography = homography_of(grid[plate], ends[plate])
+        there = np.concatenate([grid + kept, np.ones((60, 80, 1))], axis=-1) @ homography.T
+        assert np.allclose(there[..., :2] / there[..., 2:], ends, atol=0.02)
+    assert not any(map(np.any, map(np.isnan, still.flow.numpy())))
+
+
+def test_without_a_plate_the_background_holds_still_in_a_share_of_the_scenes() -> None:
+    scenes = synth.PairGenerator({**SMALL, "preset": "pile", "aligned_probability": 0.5})(32, 24, 32, 7)
+    ground = torch.where(scenes.layer1[:, 0] == 0, scenes.flow.abs().amax(1), 0.0).amax((1, 2))
+    assert 8 <= int((ground < 1e-3).sum()) <= 24
+    with pytest.raises(ValueError, match="aligned_probability"):
+        synth.scene_config({"aligned_probability": 1.5})

@@ -64,6 +64,15 @@ Tensor compose(const LayerPlacement& place, const Tensor& tx, const Tensor& ty, 
   return back.matmul(tilt).matmul(turn).matmul(to_center);
 }
 
+/// Homographies [R, 3, 3] float64 and their inverses, with a last element of 1, as [R, 9] float32.
+void set_homographies(LayerMotion& motion, const Tensor& g) {
+  const auto rows = [](const Tensor& m) {
+    return (m / m.select(1, 2).select(1, 2).view({-1, 1, 1})).reshape({-1, 9}).to(torch::kFloat32);
+  };
+  motion.forward = rows(g);
+  motion.backward = rows(torch::linalg_inv(motion.forward.view({-1, 3, 3}).to(torch::kFloat64)));
+}
+
 }  // namespace
 
 Points LayerMotion::to_frame1(const Points& y) const {
@@ -97,6 +106,15 @@ LayerMotion LayerMotion::per_pixel(const Tensor& row, std::int64_t layers) const
   chosen.backward = backward.index_select(0, index).view({sizes[0], sizes[1], sizes[2], 9});
   chosen.waves = waves.index_select(0, index).view({sizes[0], sizes[1], sizes[2], waves.size(1), 5});
   return chosen;
+}
+
+LayerMotion LayerMotion::relative_to(const Tensor& still, std::int64_t layers) const {
+  const auto g = forward.to(torch::kFloat64).view({-1, layers, 3, 3});
+  const auto row = still.clamp_min(0).view({-1, 1, 1, 1}).expand({-1, 1, 3, 3});
+  const auto left = torch::linalg_solve(g.gather(1, row).expand_as(g), g);
+  LayerMotion relative = *this;
+  set_homographies(relative, torch::where(still.view({-1, 1, 1, 1}) >= 0, left, g).reshape({-1, 3, 3}));
+  return relative;
 }
 
 LayerMotion LayerMotion::slice(std::int64_t begin, std::int64_t end, const torch::Device& device) const {
@@ -157,10 +175,7 @@ LayerMotion draw_motion(const SceneConfig& c, const LayerPlacement& place, std::
 
   LayerMotion motion;
   motion.projective = projective;
-  own = own.reshape({-1, 3, 3});
-  motion.forward = (own / own.select(1, 2).select(1, 2).view({-1, 1, 1})).reshape({-1, 9}).to(torch::kFloat32);
-  const auto inverse = torch::linalg_inv(motion.forward.view({-1, 3, 3}).to(torch::kFloat64));
-  motion.backward = (inverse / inverse.select(1, 2).select(1, 2).view({-1, 1, 1})).reshape({-1, 9}).to(torch::kFloat32);
+  set_homographies(motion, own.reshape({-1, 3, 3}));
 
   motion.nonrigid = random.number() < c.nonrigid_probability;
   const std::int64_t rows = batch * layers;

@@ -36,6 +36,9 @@ struct LayerMotion {
   /// The motion of one chosen row per pixel: `row` int64 [B, H, W] picks among the L rows of each scene.
   /// Rows are ordered [B * L]. The result's parameters have one value per pixel.
   [[nodiscard]] LayerMotion per_pixel(const torch::Tensor& row, std::int64_t layers) const;
+  /// The same scenes with one row's motion taken out of all rows: `still` int64 [B], which of the `layers` rows, or -1
+  /// for a scene that stays as it is. What is left of a layer's G is G_still^-1 G.
+  [[nodiscard]] LayerMotion relative_to(const torch::Tensor& still, std::int64_t layers) const;
   [[nodiscard]] LayerMotion slice(std::int64_t begin, std::int64_t end, const torch::Device& device) const;
 };
 

@@ -60,6 +60,15 @@ LayerPlacement draw_placement(const SceneConfig& c, const ShapeSet& shapes, std:
   return place;
 }
 
+/// The row of each scene whose motion is to be taken out, -1 for none: int64 [B]. It is the one that most of the
+/// picture shows: the nearest plate, else the background.
+Tensor draw_still(const SceneConfig& c, const ShapeSet& shapes, const Tensor& present, Random& extra) {
+  const std::int64_t batch = present.size(0), layers = present.size(1);
+  const auto plate = shapes.unbounded().view({batch, layers}).logical_and(present > 0);
+  const auto largest = torch::where(plate, torch::arange(layers).expand({batch, layers}), 0).amax(1);
+  return torch::where(extra.chance({batch}, c.aligned_probability), largest, -1);
+}
+
 Appearance draw_appearance(const SceneConfig& c, const TextureBank& bank, std::int64_t batch, std::int64_t layers,
                            Random& random, Random& extra) {
   const auto procedural = random.integers({batch, layers}, std::max<std::int64_t>(1, bank.procedural_count()));
@@ -121,7 +130,10 @@ Scene draw_scene(const SceneConfig& config, const TextureBank& bank, std::int64_
   const ShapeSet shapes(config, batch * layers, random, &extra);
   const auto place = draw_placement(config, shapes, batch, layers, height, width, random, in_depth, extra);
   auto present = random.chance({batch, layers}, config.layer_probability).to(torch::kFloat32);
-  const auto motion = draw_motion(config, place, height, width, random, in_depth, &extra);
+  auto motion = draw_motion(config, place, height, width, random, in_depth, &extra);
+  if (config.aligned_probability > 0) {
+    motion = motion.relative_to(draw_still(config, shapes, present, extra), layers);
+  }
   const auto look = draw_appearance(config, bank, batch, layers, random, extra);
   const auto camera = draw_camera_effects(config, batch, random, &extra);
   const auto lights = draw_lights(config, batch, height, width, extra);

@@ -44,6 +44,7 @@ void validate_camera(const SceneConfig& c) {
   require_range("table_tilt_deg", c.table_tilt_deg, 0, 60);
   require_range("plane_tilt", c.plane_tilt, 0, 0.3);
   require_range("independent_probability", c.independent_probability, 0, 1);
+  require_range("aligned_probability", c.aligned_probability, 0, 1);
 }
 
 }  // namespace

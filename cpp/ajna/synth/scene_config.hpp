@@ -34,6 +34,7 @@ struct SceneConfig {
   double parallax_probability =
       0.25;                          ///< of scenes whose layers move along the background's motion, nearer ones faster
   double static_probability = 0.05;  ///< of scenes whose background does not move at all
+  double aligned_probability = 0.0;  ///< of scenes whose largest plane holds still, as in the skills' aligned pairs
 
   // A camera that moves through a scene in depth, instead of layers that move each on their own ("off"). Depths are
   // relative to the background's. The drawn displacement is that of something at the middle depth,
