@@ -3,37 +3,35 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ajna import tasks
-from ajna.baselines.classical import BaselineField, FlowMethod, Map, RgbImage
+from ajna.baselines.classical import FlowMethod, Map, RgbImage
 
 __all__ = ["Aligned", "AlignedField"]
 
 
-class AlignedField(BaselineField):
-    """Flow between the frames as they were; uncertainty as the method gave it for the aligned pair."""
+@dataclass(frozen=True)
+class AlignedField:
+    """As ajna.FlowField, float32 [H, W, 2] each: flow between the frames as they were, pixels; uncertainty and expected
+    error as the method gave them for the aligned pair, the latter in pixels of the aligned frame (those of frame 2, but
+    for the homography's scale)."""
 
-    label = "uncertainty after alignment"
-
-    def __init__(self, flow: Map, uncertainty: Map, expected_error: Map) -> None:
-        super().__init__(flow, uncertainty)
-        object.__setattr__(self, "_expected_error", expected_error)
-
-    @property
-    def expected_error(self) -> Map:
-        """Pixels of the aligned frame: those of frame 2, but for the homography's scale."""
-        return self._expected_error  # type: ignore[attr-defined]
+    flow: Map
+    uncertainty: Map
+    expected_error: Map
+    label = "uncertainty after alignment"  # for pictures
 
 
 class Aligned:
     """``method`` after :func:`ajna.tasks.align_to`: frame 2 is warped by the homography that most tracked corners agree
     on, the method sees what else moves, and its flow p -> q is carried back by the homography H: p -> H(q).
 
-    Where the warped frame has no picture the method sees its border repeated. Pairs without a plane are left as they
-    are.
+    Frames are RGB uint8 [H, W, 3] of one size; raises what ``method`` and ``align_to`` raise. Where the warped frame
+    has no picture the method sees its border repeated. Pairs without a plane are left as they are.
     """
 
     def __init__(self, method: FlowMethod) -> None:
