@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from types import SimpleNamespace
 
@@ -22,7 +23,7 @@ from ajna.sim.episode import run_episode, true_mask
 from ajna.sim.gl import NoRenderingError, rendering_backend
 from ajna.sim.methods import METHODS
 from ajna.sim.methods.signals import Source, TrueMotionSignal, occlusion_jump
-from ajna.sim.methods.skills import PAPERS_VEHICLE, SkillMethod, Timing
+from ajna.sim.methods.skills import OUR_VEHICLE, PAPERS_VEHICLE, FlightTiming, Pace, SkillMethod, Timing
 from ajna.sim.observation import Observation, TaskSetup
 from ajna.sim.render import Renderer
 from ajna.sim.trials import TrialPlan, _settings
@@ -94,6 +95,36 @@ def test_timing_in_frames() -> None:
         Timing(rate_hz=0.0).in_frames(30.0)
     with pytest.raises(ValueError, match="latency"):
         Timing(latency_s=-0.1).in_frames(30.0)
+    with pytest.raises(ValueError, match="pair"):
+        FlightTiming(pair_s=0.0).schedule(30.0)
+
+
+def scheduled(timing: Pace, frames: int) -> list[int | None]:
+    return list(itertools.islice(timing.schedule(30.0), frames))
+
+
+def test_timing_frame_by_frame() -> None:
+    assert scheduled(Timing(), 3) == [0, 0, 0]
+    assert scheduled(PAPERS_VEHICLE, 8) == [None, None, None, 2, None, None, None, 2]
+    assert scheduled(FlightTiming(pair_s=0.03), 3) == [1, 1, 1]
+    # Frames are 33.3 ms apart: done after 43 ms, the second frame is the newest until 66.7; then after 86, 129, 172.
+    # By then the sixth has come: the fifth is not looked at.
+    assert scheduled(FlightTiming(pair_s=0.043), 6) == [2, 2, 2, 3, None, 2]
+    # Just as long as two frames: each other one, with nothing left of the last.
+    assert scheduled(FlightTiming(pair_s=2 / 30), 6) == [2, None, 2, None, 2, None]
+    assert scheduled(FlightTiming(pair_s=0.21), 14) == [7, *[None] * 5, 7, *[None] * 5, 7, None]
+
+
+@pytest.mark.parametrize("timing", [Timing(), PAPERS_VEHICLE, OUR_VEHICLE, FlightTiming(pair_s=0.1)])
+def test_what_a_skill_is_told_of_its_timing_is_so(timing: Pace) -> None:
+    rate_hz, latency_s = timing.averages(30.0)
+    delays = [delay for delay in scheduled(timing, 3000) if delay is not None]
+    assert len(delays) / 100 == pytest.approx(rate_hz, rel=0.01)
+    assert np.mean(delays) / 30 == pytest.approx(latency_s, rel=0.01)
+    if isinstance(timing, FlightTiming):
+        assert rate_hz == pytest.approx(1 / timing.pair_s, rel=0.01)  # slower than the camera: never idle
+        # It waits for less than a frame, and commands change at frames only, less than another one later.
+        assert timing.pair_s - 1e-9 <= latency_s < timing.pair_s + 2 / 30
 
 
 def observed(time_s: float) -> Observation:
@@ -123,15 +154,17 @@ class Disc:
         return np.where(disc, np.float32(1.6), np.float32(0.2)).astype(np.float32)
 
 
-@pytest.mark.parametrize(("timing", "calls", "decided", "moved"), [(Timing(), 11, 3, 3), (PAPERS_VEHICLE, 3, 7, 9)])
-def test_dodge_plans_and_acts_when_its_timing_says(timing: Timing, calls: int, decided: int, moved: int) -> None:
+@pytest.mark.parametrize(
+    ("timing", "calls", "decided", "moved"), [(Timing(), 11, 3, 3), (PAPERS_VEHICLE, 3, 7, 9), (OUR_VEHICLE, 9, 3, 6)]
+)
+def test_dodge_plans_and_acts_when_its_timing_says(timing: Pace, calls: int, decided: int, moved: int) -> None:
     """Three detections make a decision; at 8 Hz two, four frames apart, and the command comes two frames later."""
     signal = Disc()
     method = SkillMethod("test", signal, timing)
     method.reset(TaskSetup("dodge", CameraModel(), 0.0, 0.25, 0))
     outputs = [method(observed(i / 30)) for i in range(12)]
     assert signal.calls == calls
-    assert [output.planned for output in outputs].count(True) == calls + (timing.rate_hz is None)
+    assert [output.planned for output in outputs].count(True) == calls + (timing is not PAPERS_VEHICLE)
     assert [i for i, output in enumerate(outputs) if output.decided] == [decided]
     outputs += [method(observed(i / 30)) for i in range(12, 15)]
     bursts = [i for i, output in enumerate(outputs) if output.command.velocity_m_s is None]
@@ -150,10 +183,11 @@ def test_hold_keeps_the_place() -> None:
 
 
 def test_methods_and_tables() -> None:
-    for name in ("ajna", "ajna-8hz", "ajna-true-flow", "ajna-true-flow-8hz"):
+    paces = ("", "-8hz", "-flight-pace")
+    for name in [signal + pace for signal in ("ajna", "ajna-true-flow") for pace in paces]:
         assert METHODS[name].timing is not None
         assert METHODS[name].takes_checkpoint == (not name.startswith("ajna-true"))
-    motion = {"ajna-true-motion", "ajna-true-motion-8hz"}
+    motion = {f"ajna-true-motion{pace}" for pace in paces}
     assert all(METHODS[name].tasks == {"navigate"} for name in motion)
     for experiment, rows in EXPERIMENTS.items():
         shown = motion & {row.method for row in rows}

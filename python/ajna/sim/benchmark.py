@@ -33,15 +33,19 @@ class PaperRow:
 
 
 # What flies by the paper's pipelines, beside the paper's own row.
+_TRUE_FLOW = PaperRow("ajna-true-flow", "Ajna on true flow")
 _OURS = (
     PaperRow("ajna-8hz", "Ajna, planning at 8 Hz"),
-    PaperRow("ajna-true-flow", "Ajna on true flow"),
+    PaperRow("ajna-flight-pace", "Ajna, planning as ajna_flight does"),
+    _TRUE_FLOW,
     PaperRow("ajna-true-flow-8hz", "Ajna on true flow, planning at 8 Hz"),
+    PaperRow("ajna-true-flow-flight-pace", "Ajna on true flow, planning as ajna_flight does"),
     PaperRow("flight", "Ajna, the flight program over MAVLink"),
 )
 _TRUE_MOTION = (
     PaperRow("ajna-true-motion", "Ajna on true motion"),
     PaperRow("ajna-true-motion-8hz", "Ajna on true motion, planning at 8 Hz"),
+    PaperRow("ajna-true-motion-flight-pace", "Ajna on true motion, planning as ajna_flight does"),
 )
 _AJNA = {"run_time_ms": 10.1, "gflops": 6.3, "mparameters": 2.7}
 _OCCMASK = {"run_time_ms": 31.4, "gflops": 62.7, "mparameters": 20.6}
@@ -123,7 +127,7 @@ EXPERIMENTS: dict[str, tuple[PaperRow, ...]] = {
         PaperRow("occmask-net", "OccMask (MaskFlowNet)"),
         PaperRow("occmask", "OccMask (DIS)"),
         PaperRow("ajna", "Ajna", **_AJNA),
-        _OURS[1],
+        _TRUE_FLOW,
     ),
 }
 

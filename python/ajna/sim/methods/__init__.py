@@ -17,7 +17,7 @@ from ajna.sim.methods.events import EventPerception
 from ajna.sim.methods.flow import GapFlyt, OcclusionMask
 from ajna.sim.methods.program import FlightProgram
 from ajna.sim.methods.signals import NetworkSignal, TrueFlowSignal, TrueMotionSignal
-from ajna.sim.methods.skills import PAPERS_VEHICLE, SkillMethod, Timing
+from ajna.sim.methods.skills import OUR_VEHICLE, PAPERS_VEHICLE, Pace, SkillMethod, Timing
 
 __all__ = ["METHODS", "MethodInfo", "make_method"]
 
@@ -36,7 +36,7 @@ class MethodInfo:
     tasks: frozenset[str]
     make: Callable[..., Any]
     network: type[Network] | type[PairNetwork] | None = None
-    timing: Timing | None = None
+    timing: Pace | None = None
     takes_checkpoint: bool = False
     whole: bool = False
 
@@ -52,11 +52,23 @@ METHODS: dict[str, MethodInfo] = {
     "ajna-8hz": MethodInfo(
         "Ajna, at the paper's 8 Hz", _ALL, NetworkSignal, timing=PAPERS_VEHICLE, takes_checkpoint=True
     ),
+    "ajna-flight-pace": MethodInfo(
+        "Ajna, at the flight program's pace", _ALL, NetworkSignal, timing=OUR_VEHICLE, takes_checkpoint=True
+    ),
     "ajna-true-flow": MethodInfo("Ajna on true flow", _ALL, TrueFlowSignal, timing=Timing()),
     "ajna-true-flow-8hz": MethodInfo("Ajna on true flow, at 8 Hz", _ALL, TrueFlowSignal, timing=PAPERS_VEHICLE),
+    "ajna-true-flow-flight-pace": MethodInfo(
+        "Ajna on true flow, at the flight program's pace", _ALL, TrueFlowSignal, timing=OUR_VEHICLE
+    ),
     "ajna-true-motion": MethodInfo("Ajna on true motion", frozenset({"navigate"}), TrueMotionSignal, timing=Timing()),
     "ajna-true-motion-8hz": MethodInfo(
         "Ajna on true motion, at 8 Hz", frozenset({"navigate"}), TrueMotionSignal, timing=PAPERS_VEHICLE
+    ),
+    "ajna-true-motion-flight-pace": MethodInfo(
+        "Ajna on true motion, at the flight program's pace",
+        frozenset({"navigate"}),
+        TrueMotionSignal,
+        timing=OUR_VEHICLE,
     ),
     "flight": MethodInfo("Ajna, flight program", FlightProgram.tasks, FlightProgram, takes_checkpoint=True, whole=True),
     "depth": MethodInfo("true depth", _ALL, lambda: DepthPerception(TrueDepthSensor)),

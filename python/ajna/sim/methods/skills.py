@@ -6,10 +6,12 @@ Here is only what the vehicle of the simulation adds: when is planned, what its 
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +21,20 @@ from ajna.sim.methods.signals import Signal, Source, TrueMotionSignal
 from ajna.sim.observation import Observation, Output, TaskSetup
 from ajna.sim.vehicle import CAMERA_AHEAD_M, Command
 
-__all__ = ["PAPERS_VEHICLE", "Autopilot", "SkillMethod", "Timing"]
+__all__ = ["OUR_VEHICLE", "PAPERS_VEHICLE", "Autopilot", "FlightTiming", "Pace", "SkillMethod", "Timing"]
 
 Floats = NDArray[np.float64]
+
+
+class Pace(Protocol):
+    """When is planned, and when the commands that follow hold."""
+
+    def schedule(self, camera_hz: float) -> Iterator[int | None]:
+        """For each frame in turn, without end: by how many frames later a command that follows from it holds; None: it
+        is not planned on."""
+
+    def averages(self, camera_hz: float) -> tuple[float, float]:
+        """(plans a second, mean seconds from a frame to its command), on which a skill counts."""
 
 
 @dataclass(frozen=True)
@@ -46,11 +59,64 @@ class Timing:
         if not self.latency_s >= 0:
             raise ValueError(f"latency {self.latency_s} s: give 0 or more")
         every = 1 if self.rate_hz is None else max(1, round(camera_hz / self.rate_hz))
-        return every, math.ceil(self.latency_s * camera_hz - 1e-9)
+        return every, _frames(self.latency_s, camera_hz)
+
+    def schedule(self, camera_hz: float) -> Iterator[int | None]:
+        """See :class:`Pace`; raises as :meth:`in_frames`."""
+        every, delay = self.in_frames(camera_hz)
+        return itertools.cycle([*[None] * (every - 1), delay])
+
+    def averages(self, camera_hz: float) -> tuple[float, float]:
+        """See :class:`Pace`; raises as :meth:`in_frames`."""
+        every, delay = self.in_frames(camera_hz)
+        return camera_hz / every, delay / camera_hz
+
+
+@dataclass(frozen=True)
+class FlightTiming:
+    """When the flight program plans: one frame at a time, the newest there is when it is done with the last.
+
+    pair_s: what a pair of frames takes, as ``ajna_flight`` says at its start. Its command holds from the next frame on
+    after that: the simulation changes commands at frames only.
+    """
+
+    pair_s: float
+
+    def schedule(self, camera_hz: float) -> Iterator[int | None]:
+        """See :class:`Pace`; raises ValueError where ``pair_s`` is not positive."""
+        if not self.pair_s > 0:
+            raise ValueError(f"time of a pair {self.pair_s} s: give a positive number")
+        return self._schedule(camera_hz)
+
+    def _schedule(self, camera_hz: float) -> Iterator[int | None]:
+        free_s = 0.0
+        for count in itertools.count():
+            if free_s * camera_hz >= count + 1 - _SAME:  # by then there is a newer one
+                yield None
+                continue
+            free_s = max(count / camera_hz, free_s) + self.pair_s
+            yield _frames(free_s - count / camera_hz, camera_hz)
+
+    def averages(self, camera_hz: float) -> tuple[float, float]:
+        """See :class:`Pace`: over the first minute; raises as :meth:`schedule`."""
+        frames = round(60 * camera_hz)
+        delays = [delay for delay in itertools.islice(self.schedule(camera_hz), frames) if delay is not None]
+        return len(delays) * camera_hz / frames, sum(delays) / len(delays) / camera_hz
+
+
+_SAME = 1e-9  # of a frame: what lies closer together is at the same time
+
+
+def _frames(duration_s: float, camera_hz: float) -> int:
+    return math.ceil(duration_s * camera_hz - _SAME)
 
 
 #: The paper's vehicle: planning at about 8 Hz on frames of 30 Hz, 49 ms for the network.
 PAPERS_VEHICLE = Timing(rate_hz=8.0, latency_s=0.049)
+
+#: Ours: ``ajna_flight --dry-run`` as docs/flight.yaml has it (float32, two threads, 320x240), on two cores of an Intel
+#: Xeon with AMX: a pair takes 43 ms.
+OUR_VEHICLE = FlightTiming(pair_s=0.043)
 
 # What the simulated vehicle needs otherwise than by default: its length, and room to stop, after the gap surrounds it.
 COAST_S = 2.0
@@ -81,11 +147,11 @@ class SkillMethod:
 
     tasks = frozenset({"navigate", "gap", "dodge", "pile"})
 
-    def __init__(self, name: str, signal: Signal, timing: Timing | None = None) -> None:
+    def __init__(self, name: str, signal: Signal, timing: Pace | None = None) -> None:
         self.name = name
         self.needs: frozenset[str] = signal.needs
         self._signal = signal
-        self._timing = timing or Timing()
+        self._timing: Pace = timing or Timing()
 
     def on_true_motion(self) -> SkillMethod:
         """The same skill at the same times, on maps that tell the truth: for navigating."""
@@ -97,12 +163,12 @@ class SkillMethod:
         if setup.task in ("gap", "pile"):
             self.needs = self.needs | {"rgb"}  # gaps are tracked and piles are outlined in the pictures
         source = self._signal.source(setup.camera)
-        self._every, self._delay = (1, 0) if setup.task == "pile" else self._timing.in_frames(setup.camera.rate_hz)
+        self._schedule = self._timing.schedule(setup.camera.rate_hz)
         self._skill: tasks.Skill | PileSkill
         if setup.task == "pile":
             self._skill = PileSkill(source)
         else:
-            options = skill_options(setup, setup.camera.rate_hz / self._every, self._delay / setup.camera.rate_hz)
+            options = skill_options(setup, *self._timing.averages(setup.camera.rate_hz))
             self._signal.adapt(options)
             self._skill = tasks.Skill(options, source)
         self._autopilot = Autopilot()
@@ -112,10 +178,11 @@ class SkillMethod:
 
     def __call__(self, observation: Observation) -> Output:
         count, self._count = self._count, self._count + 1
-        output = Output(planned=(count + 1) % self._every == 0)
         if isinstance(self._skill, PileSkill):
             return self._skill(observation)
-        if output.planned:
+        delay = next(self._schedule)
+        output = Output(planned=delay is not None)
+        if delay is not None:
             answer = self._skill.plan(
                 **self._seen(observation),
                 velocity_m_s=observation.velocity_m_s,
@@ -123,7 +190,7 @@ class SkillMethod:
                 too_high_m=observation.height_m - observation.hold_height_m,
             )
             if answer.valid:
-                self._pending.append((count + self._delay, answer.command))
+                self._pending.append((count + delay, answer.command))
             output.mask, output.decided = answer.mask, answer.decided
             closer = self._skill.outline()
             output.mask = answer.mask if closer is None else closer
