@@ -6,7 +6,7 @@ The uncertainty of the classical ones is the forward-backward distance: how far 
 it follows the flow from frame 1 to frame 2 and the flow back. :mod:`ajna.baselines.sampled` holds the others.
 """
 
-from ajna.baselines.aligned import Aligned, AlignedField
+from ajna.baselines.aligned import Aligned, AlignedField, with_aligned
 from ajna.baselines.classical import (
     BASELINES,
     BaselineField,
@@ -57,4 +57,5 @@ __all__ = [
     "make_baseline",
     "make_sampled",
     "noise_variance",
+    "with_aligned",
 ]

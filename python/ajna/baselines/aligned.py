@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 from ajna import tasks
 from ajna.baselines.classical import FlowMethod, Map, RgbImage
 
-__all__ = ["Aligned", "AlignedField"]
+__all__ = ["Aligned", "AlignedField", "with_aligned"]
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,11 @@ class Aligned:
             np.asarray(field.uncertainty),
             np.asarray(field.expected_error),
         )
+
+
+def with_aligned(methods: Mapping[str, FlowMethod]) -> dict[str, FlowMethod]:
+    """The methods, then each of them once more after alignment, as "NAME-aligned"."""
+    return {**methods, **{f"{name}-aligned": Aligned(method) for name, method in methods.items()}}
 
 
 def carried(flow: Map, homography: np.ndarray) -> Map:

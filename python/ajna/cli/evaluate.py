@@ -141,7 +141,7 @@ def _methods(
 ) -> dict[str, FlowMethod]:
     """Name -> method, models first; the shipped model if nothing is asked for."""
     import ajna
-    from ajna.baselines import BASELINES, SAMPLED, Aligned, SamplingOptions, make_baseline, make_sampled
+    from ajna.baselines import BASELINES, SAMPLED, SamplingOptions, make_baseline, make_sampled, with_aligned
 
     if "all" in baselines:
         baselines = list(dict.fromkeys([name for name in baselines if name != "all"] + list(BASELINES)))
@@ -155,7 +155,7 @@ def _methods(
         methods[name] = ajna.load(model, device=device, threads=threads)
     loaded: list[Any] = list(methods.values())
     if align:
-        methods |= {f"{name}-aligned": Aligned(method) for name, method in methods.items()}
+        methods = with_aligned(methods)
     for name in baselines:
         if name in SAMPLED:
             methods[name] = make_sampled(name, loaded[0], loaded, SamplingOptions(device=device))

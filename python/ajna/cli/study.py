@@ -217,7 +217,7 @@ def presets(
     from rich.progress import Progress
 
     import ajna
-    from ajna.baselines import Aligned, make_baseline
+    from ajna.baselines import make_baseline, with_aligned
     from ajna.cli.options import parse_size
     from ajna.studies import presets as study_of
 
@@ -226,7 +226,7 @@ def presets(
     options = study_of.PresetOptions(scenes, seed, *wanted, tuple(preset or ()))
     methods: dict[str, Any] = {name: ajna.load(name, device=device) for name in model or ["best"]}
     if align:
-        methods |= {f"{name}-aligned": Aligned(loaded) for name, loaded in methods.items()}
+        methods = with_aligned(methods)
     methods |= {name: make_baseline(name) for name in method or []}
     with Progress(console=Console(stderr=True), disable=not sys.stderr.isatty()) as bar:
         task = bar.add_task("scenes", total=1.0)
