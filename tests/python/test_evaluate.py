@@ -246,6 +246,28 @@ def test_models_are_loaded_by_name_and_default_to_best(root: Path, monkeypatch: 
     assert loaded[1:] == [("best", "cuda:0", 2), ("some/dir/other.safetensors", "cuda:0", 2)]
 
 
+def test_aligned_models_stand_beside_the_models_and_see_what_else_moves(
+    root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The picture moves as one plane: a model that sees no motion is right once that is out. Baselines stay."""
+    import ajna
+
+    def load(name: str, device: str, threads: int | None):
+        field = constant(0, 0)
+        return lambda a, b: SimpleNamespace(**vars(field(a, b)), expected_error=np.ones((*a.shape[:2], 2), np.float32))
+
+    monkeypatch.setattr(ajna, "load", load, raising=False)
+    result = run(
+        *("--root", root, "--cases", "slow", "--size", "320x240", "--json", "--repeats", 1),
+        *("--model", "best", "--method", "zero", "--align"),
+    )
+    assert result.exit_code == 0, result.output
+    epe = {name: method["mean"]["epe"] for name, method in json.loads(result.stdout)["methods"].items()}
+    assert list(epe) == ["best", "best-aligned", "zero"]
+    assert epe["best"] == epe["zero"] == pytest.approx(10.0)
+    assert epe["best-aligned"] < 0.5
+
+
 def test_bad_arguments_are_errors_with_a_reason(root: Path, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     for arguments, error, reason in (
