@@ -187,6 +187,8 @@ def test_methods_and_tables() -> None:
     for name in [signal + pace for signal in ("ajna", "ajna-true-flow") for pace in paces]:
         assert METHODS[name].timing is not None
         assert METHODS[name].takes_checkpoint == (not name.startswith("ajna-true"))
+    exact, quick = make_method("ajna-flight-pace"), make_method("ajna-flight-pace-bfloat16")
+    assert exact._signal._model.info.precision == "float32" and quick._signal._model.info.precision == "bfloat16"
     motion = {f"ajna-true-motion{pace}" for pace in paces}
     assert all(METHODS[name].tasks == {"navigate"} for name in motion)
     for experiment, rows in EXPERIMENTS.items():

@@ -37,6 +37,7 @@ _TRUE_FLOW = PaperRow("ajna-true-flow", "Ajna on true flow")
 _OURS = (
     PaperRow("ajna-8hz", "Ajna, planning at 8 Hz"),
     PaperRow("ajna-flight-pace", "Ajna, planning as ajna_flight does"),
+    PaperRow("ajna-flight-pace-bfloat16", "Ajna, planning as ajna_flight does in bfloat16"),
     _TRUE_FLOW,
     PaperRow("ajna-true-flow-8hz", "Ajna on true flow, planning at 8 Hz"),
     PaperRow("ajna-true-flow-flight-pace", "Ajna on true flow, planning as ajna_flight does"),

@@ -17,7 +17,7 @@ from ajna.sim.methods.events import EventPerception
 from ajna.sim.methods.flow import GapFlyt, OcclusionMask
 from ajna.sim.methods.program import FlightProgram
 from ajna.sim.methods.signals import NetworkSignal, TrueFlowSignal, TrueMotionSignal
-from ajna.sim.methods.skills import OUR_VEHICLE, PAPERS_VEHICLE, Pace, SkillMethod, Timing
+from ajna.sim.methods.skills import OUR_VEHICLE, OUR_VEHICLE_BFLOAT16, PAPERS_VEHICLE, Pace, SkillMethod, Timing
 
 __all__ = ["METHODS", "MethodInfo", "make_method"]
 
@@ -54,6 +54,13 @@ METHODS: dict[str, MethodInfo] = {
     ),
     "ajna-flight-pace": MethodInfo(
         "Ajna, at the flight program's pace", _ALL, NetworkSignal, timing=OUR_VEHICLE, takes_checkpoint=True
+    ),
+    "ajna-flight-pace-bfloat16": MethodInfo(
+        "Ajna in bfloat16, at the flight program's pace",
+        _ALL,
+        lambda weights: NetworkSignal(weights, bfloat16=True),
+        timing=OUR_VEHICLE_BFLOAT16,
+        takes_checkpoint=True,
     ),
     "ajna-true-flow": MethodInfo("Ajna on true flow", _ALL, TrueFlowSignal, timing=Timing()),
     "ajna-true-flow-8hz": MethodInfo("Ajna on true flow, at 8 Hz", _ALL, TrueFlowSignal, timing=PAPERS_VEHICLE),

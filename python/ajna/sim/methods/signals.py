@@ -41,9 +41,9 @@ class Signal(Protocol):
 
 
 @lru_cache(maxsize=2)
-def _model(name_or_path: str) -> Any:
+def _model(name_or_path: str, bfloat16: bool) -> Any:
     """One network per process, whatever the number of trials."""
-    return ajna.load(name_or_path)
+    return ajna.load(name_or_path, bfloat16=bfloat16)
 
 
 class NetworkSignal:
@@ -51,6 +51,7 @@ class NetworkSignal:
 
     Args:
         weights: a checkpoint or TorchScript file of Ajna's; None: the shipped model.
+        bfloat16: run it in bfloat16, as ``model.bfloat16`` of a flight does: checkpoints only.
 
     Raises:
         FileNotFoundError: no such file; ValueError: a foreign or damaged one.
@@ -58,8 +59,8 @@ class NetworkSignal:
 
     needs = frozenset({"rgb"})
 
-    def __init__(self, weights: str | Path | None = None) -> None:
-        self._model = _model("best" if weights is None else str(weights))
+    def __init__(self, weights: str | Path | None = None, bfloat16: bool = False) -> None:
+        self._model = _model("best" if weights is None else str(weights), bfloat16)
 
     def source(self, camera: CameraModel) -> Source:
         """The network's signal for a camera."""

@@ -21,7 +21,16 @@ from ajna.sim.methods.signals import Signal, Source, TrueMotionSignal
 from ajna.sim.observation import Observation, Output, TaskSetup
 from ajna.sim.vehicle import CAMERA_AHEAD_M, Command
 
-__all__ = ["OUR_VEHICLE", "PAPERS_VEHICLE", "Autopilot", "FlightTiming", "Pace", "SkillMethod", "Timing"]
+__all__ = [
+    "OUR_VEHICLE",
+    "OUR_VEHICLE_BFLOAT16",
+    "PAPERS_VEHICLE",
+    "Autopilot",
+    "FlightTiming",
+    "Pace",
+    "SkillMethod",
+    "Timing",
+]
 
 Floats = NDArray[np.float64]
 
@@ -114,9 +123,10 @@ def _frames(duration_s: float, camera_hz: float) -> int:
 #: The paper's vehicle: planning at about 8 Hz on frames of 30 Hz, 49 ms for the network.
 PAPERS_VEHICLE = Timing(rate_hz=8.0, latency_s=0.049)
 
-#: Ours: ``ajna_flight --dry-run`` as docs/flight.yaml has it (float32, two threads, 320x240), on two cores of an Intel
-#: Xeon with AMX: a pair takes 43 ms.
+#: Ours: what ``ajna_flight --dry-run`` says of docs/flight.yaml (float32, two threads, 320x240) on two cores of an
+#: Intel Xeon with AMX; and the same with ``model.bfloat16``.
 OUR_VEHICLE = FlightTiming(pair_s=0.043)
+OUR_VEHICLE_BFLOAT16 = FlightTiming(pair_s=0.017)
 
 # What the simulated vehicle needs otherwise than by default: its length, and room to stop, after the gap surrounds it.
 COAST_S = 2.0
