@@ -54,7 +54,7 @@ class NetworkSignal:
         bfloat16: run it in bfloat16, as ``model.bfloat16`` of a flight does: checkpoints only.
 
     Raises:
-        FileNotFoundError: no such file; ValueError: a foreign or damaged one.
+        FileNotFoundError: no such file; ValueError: a foreign or damaged one, or TorchScript with ``bfloat16``.
     """
 
     needs = frozenset({"rgb"})

@@ -86,7 +86,8 @@ class FlightTiming:
     """When the flight program plans: one frame at a time, the newest there is when it is done with the last.
 
     pair_s: what a pair of frames takes, as ``ajna_flight`` says at its start. Its command holds from the next frame on
-    after that: the simulation changes commands at frames only.
+    after that, as the simulation changes commands at frames only: half a frame later on average than ajna::flight::pace
+    counts on. The skill's own milliseconds are not counted.
     """
 
     pair_s: float
