@@ -90,8 +90,8 @@ class FlowNet(_Part):
         sub_blocks: residual block and down-sampling pairs after the stem, 0 to 4.
         in_channels: channels of the input.
         out_channels: channels of the output.
-        skip_connections: add the encoder's outputs, through a 1x1 convolution each, to the decoder's of equal size
-            (not in the paper's network).
+        skip_connections: add the encoder's outputs at 1/2 and 1/4 of the size, through a 1x1 convolution each, to the
+            decoder's of equal size (not in the paper's network).
         scale_heads: predict at 1/4 and 1/2 of the size, too, each correcting the one before (see
             :meth:`forward_scales`).
         correlation_radius: compare both frames' features at 1/8 of the size over displacements up to this many cells;

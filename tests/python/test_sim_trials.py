@@ -178,7 +178,7 @@ def test_report_of_a_folder(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -
 
 
 def test_report_keeps_rows_whose_trials_are_gone(tmp_path: Path) -> None:
-    """From another folder, or another machine: what the page had stays, but for what another model flew."""
+    """From another folder, or another machine: what the page had stays, and says which model flew."""
     first, second, page = tmp_path / "first", tmp_path / "second", tmp_path / "results.md"
     put(first, "forest", "depth", 0)
     put(first, "forest", "ajna", 0)
@@ -188,7 +188,7 @@ def test_report_keeps_rows_whose_trials_are_gone(tmp_path: Path) -> None:
     record = json.loads(record_path.read_text())
     (flown,) = [row for row in record["simulation"]["forest"] if row["method"] == "ajna-8hz"]
     assert flown["measured"]["model"].startswith("ajna-best-")
-    flown["measured"]["model"] = "ajna-best-00000000.safetensors"
+    flown["measured"]["model"], flown["cost"]["parameters"] = "ajna-best-00000000.safetensors", 1_230_000
     record["simulation"]["forest"].append("no row")
     record_path.write_text(json.dumps(record))
 
@@ -197,7 +197,12 @@ def test_report_keeps_rows_whose_trials_are_gone(tmp_path: Path) -> None:
     text = page.read_text()
     assert "### forest" in text and "### gap" in text
     assert "Flown 2026-01-01 to 2026-01-04 on M." in text
-    assert "| Ajna | 1 | 92.0 |" in text and "| Ajna, planning at 8 Hz | not run |" in text
+    marked = "| Ajna, planning at 8 Hz | 1 (ajna-best-00000000) |"
+    (other,) = [line for line in text.splitlines() if line.startswith(marked)]
+    assert "| Ajna | 1 | 92.0 |" in text
+    assert other.endswith("| 1.23 |") and "A model's name behind the number of trials" in text
+    write_report(second, page)  # from its own record, too
+    assert page.read_text() == text
     put(second, "forest", "depth", 1, success=False)  # flown anew it replaces what was kept
     write_report(second, page)
     assert "| true depth | 1 | – | 0.0 [0.0, 0.0] |" in page.read_text()
@@ -205,6 +210,7 @@ def test_report_keeps_rows_whose_trials_are_gone(tmp_path: Path) -> None:
     write_report(second, page, keep=False)
     text = page.read_text()
     assert "| Ajna | not run |" in text and "| true depth | 1 |" in text
+    assert "A model's name behind" not in text
 
 
 def test_report_errors(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT
 #include "ajna/nn/flow_graph.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <string>
@@ -40,9 +41,13 @@ void check_config(const NetConfig& c) {
           c.correlation_radius, "give 0, or at least 1 sub-block and an even number of input channels");
 }
 
-/// Whether encoder layer `index` halves the size.
-bool halves(const NetConfig& config, std::size_t index) {
-  return index < 2 || (index % 2 == 1 && index < 2 + 2 * static_cast<std::size_t>(config.sub_blocks));
+/// Encoder layers whose outputs are carried to the decoder: those of 1/2 and 1/4 of the size, where outlines are. One of
+/// 1/8 would quadruple the weights of all connections.
+constexpr std::int64_t kCarried = 2;
+
+/// The decoder begins with the encoder's smallest output, so that one is never carried.
+std::int64_t carried_layers(const NetConfig& config) {
+  return std::min(kCarried, 1 + config.sub_blocks);
 }
 
 Tensor enlarged(const Tensor& x) {
@@ -119,7 +124,7 @@ LayerTable layer_table(const NetConfig& c) {
   table.decoder.push_back({c.width / 2, c.out_channels, 7, 1, true, false});
   if (c.skip_connections != 0) {
     std::int64_t carried = c.width;
-    for (std::int64_t i = 0; i <= c.sub_blocks; ++i) {
+    for (std::int64_t i = 0; i < carried_layers(c); ++i) {
       table.skips.push_back({carried, carried, 1, 1, false, false});
       carried *= c.expansion;
     }
@@ -150,13 +155,10 @@ std::vector<Tensor> run_graph(const NetConfig& config, Tensor x, const RunLayer&
     if (i == kMatchingPlace && config.correlation_radius > 0) {
       x = x + matched(config, frames, run);
     }
-    if (config.skip_connections != 0 && halves(config, i)) {
+    if (config.skip_connections != 0 && i < static_cast<std::size_t>(carried_layers(config))) {
       skips.push_back(x);
     }
     hand_on(x);
-  }
-  if (!skips.empty()) {
-    skips.pop_back();  // the decoder begins with the smallest
   }
   std::vector<Tensor> predictions;
   const auto predict = [&](std::size_t head) {
@@ -169,8 +171,7 @@ std::vector<Tensor> run_graph(const NetConfig& config, Tensor x, const RunLayer&
       predict(i - quarter);
     }
     x = run(Part::kDecoder, i, x);
-    const bool doubles = i < quarter ? i % 2 == 1 : i == quarter;
-    if (doubles && !skips.empty()) {
+    if ((i == quarter || i + 1 == quarter) && !skips.empty()) {
       x = x + run(Part::kSkips, skips.size() - 1, skips.back());
       skips.pop_back();
     }

@@ -15,7 +15,7 @@ struct NetConfig {
   std::int64_t expansion = 2;     ///< channel factor of each further down-sampling
   std::int64_t sub_blocks = 2;    ///< residual block + down-sampling pairs after the two strided stem convolutions
 
-  /// 1: what the encoder gives at 1/2, 1/4 ... of the size is added, through a 1x1 convolution each, to the decoder's
+  /// 1: what the encoder gives at 1/2 and 1/4 of the size is added, through a 1x1 convolution each, to the decoder's
   /// output of that size.
   std::int64_t skip_connections = 0;
   /// 1: predictions at 1/4 and 1/2 of the size too, each correcting the enlarged one before it, as in the authors'

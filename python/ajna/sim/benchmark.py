@@ -150,12 +150,14 @@ def task_of(world: str) -> str:
 class Row:
     """The paper's row and our summary (see :func:`ajna.sim.statistics.summarize`), where there is one.
 
-    ``cost``: of an answer of our network; None for methods without it.
+    ``cost``: of an answer of our network; None for methods without it. ``other_model``: the shipped model of an earlier
+    version that flew; empty where it was the present one, or none flies.
     """
 
     paper: PaperRow
     measured: dict[str, Any] | None = None
     cost: Cost | None = None
+    other_model: str = ""
 
     @property
     def method(self) -> str:
@@ -222,7 +224,8 @@ def _measured(record: dict[str, Any] | None, key: str, scale: float = 1.0) -> st
 def as_markdown(experiment: str, rows: Sequence[Row]) -> str:
     """A Markdown table: each figure as the paper prints it, then ours with its 95 % interval.
 
-    Of columns that the paper leaves empty for the whole table only ours are shown.
+    Of columns that the paper leaves empty for the whole table only ours are shown. The number of trials is followed by
+    the model that flew them where that is not the present one.
     """
     columns = [("success %", "success_rate", 100.0)]
     if task_of(experiment) == "navigate":
@@ -244,7 +247,8 @@ def as_markdown(experiment: str, rows: Sequence[Row]) -> str:
     head += ["GFLOP, paper", "GFLOP, ours", "M parameters, paper", "M parameters, ours"]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for row in rows:
-        cells = [row.paper.title, row.note if row.measured is None else str(row.measured["trials"])]
+        trials = row.note if row.measured is None else str(row.measured["trials"])
+        cells = [row.paper.title, f"{trials} ({row.other_model})" if row.other_model else trials]
         for _, key, scale in columns:
             cells += [_number(getattr(row.paper, key))] if key in printed else []
             cells.append(_measured(row.measured, key, scale))

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from ajna.baselines import Cost
 from ajna.model import checkpoint_path
 from ajna.sim.benchmark import EXPERIMENTS, Row, as_markdown, cost_of, rows_of
 from ajna.sim.methods import METHODS
@@ -36,13 +37,18 @@ ajna bench report --out flights --markdown docs/results.md
 ```
 """
 
+_OTHER_MODEL = (
+    "A model's name behind the number of trials: they were flown with that one, `best` at the time, and not yet "
+    "with the present one."
+)
+
 
 def collect(out: Path, earlier: dict[str, Any] | None = None) -> dict[str, list[Row]]:
     """The rows of every experiment, with a summary where trials lie in ``out``.
 
     Args:
         earlier: experiment -> rows as :meth:`ajna.sim.benchmark.Row.to_json` gives them; where ``out`` has no trials of
-            a method, its summary there is kept, but for one of another shipped model than the present one.
+            a method, its summary there is kept; one of another shipped model than the present one says so.
 
     Raises:
         FileNotFoundError: there is no trial in ``out`` at all.
@@ -76,11 +82,15 @@ def _model_of(method: str) -> str | None:
 
 
 def _keep(row: Row, records: Any) -> None:
-    """Take a row's summary from a record of earlier ones, where it is of the present model."""
+    """Take a row's summary and cost from a record of earlier ones, and the model's name where it is not the present."""
     for record in records if isinstance(records, list) else []:
         measured = record.get("measured") if isinstance(record, dict) and record.get("method") == row.method else None
-        if isinstance(measured, dict) and measured.get("model") == _model_of(row.method):
+        if isinstance(measured, dict):
+            flew, present = measured.get("model"), _model_of(row.method)
             row.measured, row.cost = measured, cost_of(row.method)
+            if flew != present:
+                row.other_model = str(flew or "an unnamed model").removesuffix(".safetensors")
+                row.cost = Cost(**record["cost"]) if isinstance(record.get("cost"), dict) else None
 
 
 def section(tables: dict[str, list[Row]]) -> str:
@@ -90,6 +100,8 @@ def section(tables: dict[str, list[Row]]) -> str:
     machines = sorted({machine for record in measured for machine in record["flown"]["machine"]})
     when = " to ".join(dict.fromkeys([dates[0], dates[-1]])) if dates else "unknown"
     parts = [_INTRODUCTION, f"Flown {when} on {'; '.join(machines) or 'an unknown machine'}."]
+    if any(row.other_model for rows in tables.values() for row in rows):
+        parts[1] += f" {_OTHER_MODEL}"
     for experiment, rows in tables.items():
         if any(row.measured for row in rows):
             parts.append(f"### {experiment}\n\n{as_markdown(experiment, rows)}\n\n{_endings(rows)}")
