@@ -252,50 +252,6 @@ TEST(Navigate, WeavesWhileItFliesAndNotWhileItStands) {
   EXPECT_LT(swing(options, guidance, true), 1e-9);
 }
 
-/// How far the velocity still is from the wanted one, on average over the fourth and fifth second, m/s, after a turn by
-/// half a radian, where commands are given at 8 Hz and each acts `late` steps of 1/60 s later, on a vehicle that
-/// follows them exactly.
-double unrest(const NavigatePolicyOptions& options, int late) {
-  constexpr double kStep = 1.0 / 60.0;
-  constexpr double kDirection = 0.5;
-  NavigatePolicy policy(options);
-  double heading = 0.0;
-  Vector3d velocity(options.speed_m_s, 0.0, 0.0);  // axes that do not turn
-  std::vector<Command> given(1, Command::hold());
-  double sum = 0.0;
-  for (int i = 0; i < 300; ++i) {
-    const Eigen::AngleAxisd turn(heading, Vector3d::UnitZ());
-    if (i % 8 == 0) {
-      Guidance guidance;
-      guidance.free = Vector3d(std::cos(kDirection - heading), std::sin(kDirection - heading), 0.0);
-      guidance.weight = 1.0;
-      guidance.speed_m_s = options.speed_m_s;
-      given.insert(given.end(), 8, policy.update(guidance, i * kStep, turn.inverse() * velocity));
-    }
-    const auto& acting = given[static_cast<std::size_t>(std::max(0, i + 1 - late))];
-    velocity += kStep * (turn * acting.acceleration_m_s2);
-    heading += kStep * acting.yaw_rate_rad_s;
-    const Vector3d wanted = options.speed_m_s * Vector3d(std::cos(kDirection), std::sin(kDirection), 0.0);
-    sum += i >= 180 ? (velocity - wanted).norm() / 120.0 : 0.0;
-  }
-  return sum;
-}
-
-TEST(Navigate, ALateLoopThatKnowsItsDelaySwingsLess) {
-  NavigatePolicyOptions options;
-  options.weave = 0.0;
-  for (const int late : {0, 4, 16, 24, 32}) {
-    options.delay_s = 0.0;
-    const double unaware = unrest(options, late);
-    options.delay_s = (late + 4) / 60.0;  // half the time to the next command with it
-    const double aware = unrest(options, late);
-    EXPECT_LT(aware, 0.05) << late << " steps late";
-    if (late >= 24) {
-      EXPECT_GT(unaware, 0.3) << "0.4 s and more: it swings";
-    }
-  }
-}
-
 TEST(Navigate, HoldsWithoutAnswers) {
   NavigatePolicy policy;
   EXPECT_EQ(policy.update(std::nullopt, 0.0).mode, CommandMode::kHold);

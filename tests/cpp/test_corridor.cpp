@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT
-// The map of what many frames have shown, and the choice of a corridor on it.
+// The choice of a corridor on the map of what many frames have shown.
 #include <gtest/gtest.h>
 
 #include <Eigen/Core>
@@ -8,31 +8,12 @@
 
 #include "ajna/base/error.hpp"
 #include "ajna/tasks/corridor.hpp"
+#include "horizon_scans.hpp"
 
 namespace ajna::tasks {
 namespace {
 
 using Eigen::Vector2d;
-
-/// What 140 columns of 80 degrees show of a trunk that stands across the way; nothing else is there.
-HorizonScan trunk(double forward_m, double right_m, double width_m = 0.6) {
-  constexpr int kColumns = 140;
-  constexpr double kHalf = 0.7;
-  HorizonScan scan;
-  for (int i = 0; i < kColumns; ++i) {
-    const double angle = kHalf * (2.0 * i / (kColumns - 1) - 1.0);
-    const Vector2d ray(std::cos(angle), std::sin(angle));
-    const double reach = forward_m / ray.x();
-    if (forward_m > 0.0 && std::abs(reach * ray.y() - right_m) <= width_m / 2.0) {
-      scan.things.emplace_back(reach * ray);
-    } else {
-      scan.free.emplace_back(HorizonOptions{}.max_distance_m * ray);
-    }
-  }
-  return scan;
-}
-
-HorizonScan nothing() { return trunk(-1.0, 0.0); }
 
 /// Several frames from one place.
 Corridor seen(CorridorPlanner& planner, const HorizonScan& scan, double goal_rad = 0.0, int frames = 5) {
@@ -41,102 +22,6 @@ Corridor seen(CorridorPlanner& planner, const HorizonScan& scan, double goal_rad
     corridor = planner.plan(scan, {0, 0}, 0.0, goal_rad);
   }
   return corridor;
-}
-
-TEST(Occupancy, AThingIsWhereItIsSeenWhateverTheHeading) {
-  for (const double yaw : {0.0, 1.0, -2.5}) {
-    for (const Vector2d& at : {Vector2d(0, 0), Vector2d(-31.3, 57.9)}) {
-      OccupancyMap map;
-      map.add(trunk(3.0, 0.5), at, yaw);
-      const Vector2d forward(std::cos(yaw), std::sin(yaw));
-      const Vector2d right(-forward.y(), forward.x());
-      EXPECT_GT(map.evidence(at + 3.1 * forward + 0.5 * right), 0.5);
-      EXPECT_LT(map.evidence(at + 1.0 * forward), 0.0) << "rays passed there";
-      EXPECT_EQ(map.evidence(at + 5.0 * forward + 0.8 * right), 0.0) << "behind it nothing is known";
-      EXPECT_EQ(map.evidence(at - 2.0 * forward), 0.0);
-      const Obstacles things = map.things(at, yaw);
-      ASSERT_FALSE(things.empty());
-      for (const auto& thing : things) {
-        EXPECT_NEAR(thing.x(), 3.25, 0.5);
-        EXPECT_NEAR(thing.y(), 0.5, 0.5);
-      }
-    }
-  }
-}
-
-TEST(Occupancy, OneFrameThatErrsIsOutvoted) {
-  OccupancyMap map;
-  for (int i = 0; i < 10; ++i) {
-    map.add(i == 5 ? trunk(2.0, 0.0) : nothing(), {0, 0}, 0.0);
-  }
-  EXPECT_TRUE(map.things({0, 0}, 0.0).empty());
-  for (int i = 10; i < 20; ++i) {
-    map.add(i == 15 ? nothing() : trunk(2.0, 0.0), {0, 0}, 0.0);
-  }
-  EXPECT_FALSE(map.things({0, 0}, 0.0).empty());
-  map.reset();
-  EXPECT_TRUE(map.things({0, 0}, 0.0).empty());
-}
-
-TEST(Occupancy, FarReadingsCountLess) {
-  OccupancyMap map;
-  map.add(trunk(3.0, 0.0), {0, 0}, 0.0);
-  const double near = map.evidence({3.1, 0.0});
-  map.reset();
-  map.add(trunk(8.0, 0.0), {0, 0}, 0.0);
-  EXPECT_NEAR(map.evidence({8.1, 0.0}), near * OccupancyOptions{}.sure_m / 8.0, 0.05);
-}
-
-TEST(Occupancy, SaturatedReadingsMarkAndClearNothing) {
-  // What was seen at 1.2 m must stand when, nearer still, it reads as if it stood at 2.5 m.
-  OccupancyMap map;
-  for (int i = 0; i < 5; ++i) {
-    map.add(trunk(1.2, 0.0), {0, 0}, 0.0);
-  }
-  const double before = map.evidence({1.3, 0.0});
-  ASSERT_GT(before, OccupancyOptions{}.blocked);
-  HorizonScan far;
-  far.things.emplace_back(2.5, 0.0);
-  HorizonScan saturated;
-  saturated.near = far.things;
-  for (int i = 0; i < 10; ++i) {
-    map.add(saturated, {0, 0}, 0.0);
-  }
-  EXPECT_EQ(map.evidence({1.3, 0.0}), before);
-  EXPECT_GT(map.evidence({2.6, 0.0}), OccupancyOptions{}.blocked);
-  for (int i = 0; i < 30; ++i) {
-    map.add(far, {0, 0}, 0.0);
-  }
-  EXPECT_LT(map.evidence({1.3, 0.0}), 0.0) << "a reading that can be trusted clears the way to it";
-}
-
-TEST(Occupancy, ForgetsAsItMovesAndNothingAtRest) {
-  const OccupancyOptions options;
-  OccupancyMap map;
-  map.add(trunk(3.0, 0.0), {0, 0}, 0.0);
-  const double before = map.evidence({3.1, 0.0});
-  map.add(HorizonScan{}, {0.0, 2.0}, 0.0);
-  EXPECT_NEAR(map.evidence({3.1, 0.0}), before * std::exp(-2.0 / options.forget_m), 1e-6);
-  const double then = map.evidence({3.1, 0.0});
-  for (int i = 0; i < 1000; ++i) {
-    map.add(HorizonScan{}, {0.0, i % 2 == 0 ? 1.95 : 2.05}, 0.0);  // hovers
-  }
-  EXPECT_EQ(map.evidence({3.1, 0.0}), then) << "what it has braked for must not be forgotten at rest";
-  // So far away that its cells have been used for other places.
-  map.add(nothing(), {500.0, 0.0}, 0.0);
-  EXPECT_NEAR(map.evidence({3.1, 0.0}), 0.0, 1e-9);
-}
-
-TEST(Occupancy, OptionsOutOfRangeAreNamed) {
-  OccupancyOptions options;
-  options.cell_m = 0.0;
-  EXPECT_THROW(OccupancyMap{options}, Error);
-  options = {};
-  options.blocked = options.bound + 1.0;
-  EXPECT_THROW(OccupancyMap{options}, Error);
-  CorridorOptions corridor;
-  corridor.support = 0;
-  EXPECT_THROW(CorridorPlanner{corridor}, Error);
 }
 
 TEST(Corridor, StraightToTheGoalWhereNothingStands) {
@@ -193,17 +78,32 @@ TEST(Corridor, AWayThatCannotBeFlownAtThisSpeedIsNotFree) {
   planner.reset();
   Corridor fast;
   for (int i = 0; i < 5; ++i) {
-    fast = planner.plan(scan, {0, 0}, 0.0, 0.0, {5.0, 0.0});
+    fast = planner.plan(scan, {0, 0}, 0.0, 0.0, {{5.0, 0.0}});
   }
   EXPECT_LT(fast.free_m, 2.0);
   EXPECT_LT(fast.speed_m_s, slow.speed_m_s);
   // From further away the way round it is free at that speed, too.
   planner.reset();
   for (int i = 0; i < 5; ++i) {
-    fast = planner.plan(trunk(5.0, 0.2), {0, 0}, 0.0, 0.0, {5.0, 0.0});
+    fast = planner.plan(trunk(5.0, 0.2), {0, 0}, 0.0, 0.0, {{5.0, 0.0}});
   }
   EXPECT_LT(fast.angle_rad, 0.0);
   EXPECT_EQ(fast.free_m, planner.options().horizon_m);
+}
+
+TEST(Corridor, BeginsWhereTheCommandWillFindTheVehicle) {
+  const CorridorStart later{{4.0, 0.6}, {1.0, 0.3}};
+  CorridorPlanner planner, there;
+  seen(planner, trunk(5.0, 0.2));
+  seen(there, trunk(5.0, 0.2));
+  CorridorPlanner unaware = planner;
+  const Corridor ahead = planner.plan(std::nullopt, {0, 0}, 0.0, 0.0, later);
+  const Corridor same = there.plan(std::nullopt, later.moved_m, 0.0, 0.0, {later.velocity_m_s});
+  EXPECT_NEAR(ahead.angle_rad, same.angle_rad, 0.06) << "within a cell of the map";
+  EXPECT_NEAR(ahead.free_m, same.free_m, 0.3);
+  EXPECT_NEAR(ahead.speed_m_s, same.speed_m_s, 0.3);
+  const Corridor late = unaware.plan(std::nullopt, {0, 0}, 0.0, 0.0, {later.velocity_m_s});
+  EXPECT_GT(std::abs(ahead.angle_rad - late.angle_rad), 0.12) << "what is nearer is turned away from more";
 }
 
 TEST(Corridor, ChoosesAtAnySpeed) {
@@ -211,7 +111,7 @@ TEST(Corridor, ChoosesAtAnySpeed) {
     CorridorPlanner planner;
     Corridor corridor;
     for (int i = 0; i < 5; ++i) {
-      corridor = planner.plan(trunk(4.5, 0.2), {0, 0}, 0.0, 0.0, {speed, 0.0});
+      corridor = planner.plan(trunk(4.5, 0.2), {0, 0}, 0.0, 0.0, {{speed, 0.0}});
     }
     EXPECT_LT(corridor.angle_rad, -0.1) << speed;
   }
@@ -249,7 +149,7 @@ TEST(Corridor, LooksToTheSidesWhereTheFanIsBlocked) {
   planner.reset();
   Corridor moving;
   for (int i = 0; i < 5; ++i) {
-    moving = planner.plan(scan, {0, 0}, 0.0, 0.0, {2.0, 0.0});
+    moving = planner.plan(scan, {0, 0}, 0.0, 0.0, {{2.0, 0.0}});
   }
   EXPECT_LE(moving.angle_rad, fan + 1e-9) << "a vehicle under way does not turn to what it does not see";
   narrow.wide_fan_rad = 4.0;
@@ -265,7 +165,7 @@ TEST(Corridor, ADriftTowardsAThingDoesNotBlockTheWaysPastIt) {
   CorridorPlanner planner;
   Corridor corridor;
   for (int i = 0; i < 5; ++i) {
-    corridor = planner.plan(scan, {0, 0}, 0.0, 0.0, {0.3, 0.0});
+    corridor = planner.plan(scan, {0, 0}, 0.0, 0.0, {{0.3, 0.0}});
   }
   EXPECT_GT(std::abs(corridor.angle_rad), planner.options().fan_rad);
   EXPECT_GT(corridor.free_m, planner.options().blocked_m);
@@ -287,7 +187,8 @@ double nearest_of_a_flight_past(double crowd_weight) {
   double yaw = 0.0;
   double nearest = 1e9;
   for (int i = 0; i < 60; ++i) {
-    const Corridor corridor = planner.plan(std::nullopt, at, yaw, 0.8 - yaw, {1.5, 0.0});  // the goal: round the corner
+    const Corridor corridor =
+        planner.plan(std::nullopt, at, yaw, 0.8 - yaw, {{1.5, 0.0}});  // the goal: round the corner
     yaw += 0.15 * corridor.angle_rad;
     at += 0.05 * Vector2d(std::cos(yaw), std::sin(yaw));
     for (const auto& thing : scan.things) {
@@ -344,7 +245,7 @@ TEST(Corridor, SlowsDownBeforeADeadEnd) {
   no_squeezing.squeeze_m_s = 0.0;
   CorridorPlanner planner(no_squeezing);
   seen(planner, scan);
-  const Corridor corridor = planner.plan(scan, {0, 0}, 0.0, 0.0, {2.0, 0.0});
+  const Corridor corridor = planner.plan(scan, {0, 0}, 0.0, 0.0, {{2.0, 0.0}});
   EXPECT_LT(corridor.free_m, 1.3);
   // What it flies until it brakes, and while it does, is what is left.
   const CorridorOptions& options = planner.options();
@@ -375,11 +276,11 @@ TEST(Corridor, ChoosesTheSideThatLeadsOn) {
 TEST(Corridor, FliesPastAThingNoFasterThanItSees) {
   // The goal lies aside, outside of the picture: what stands there is not known, and the vehicle must not speed up.
   CorridorPlanner planner;
-  const Corridor aside = planner.plan(nothing(), {0, 0}, 0.0, 1.5, {1.5, 0.0});
+  const Corridor aside = planner.plan(nothing(), {0, 0}, 0.0, 1.5, {{1.5, 0.0}});
   EXPECT_NEAR(aside.angle_rad, planner.options().fan_rad, 0.05);
   EXPECT_NEAR(aside.speed_m_s, 1.5, 0.5);
   planner.reset();
-  EXPECT_GT(planner.plan(nothing(), {0, 0}, 0.0, 0.0, {1.5, 0.0}).speed_m_s, 4.0);
+  EXPECT_GT(planner.plan(nothing(), {0, 0}, 0.0, 0.0, {{1.5, 0.0}}).speed_m_s, 4.0);
   // Touching something it goes on slowly, wherever that leads.
   HorizonScan scan = nothing();
   for (int i = 0; i < 20; ++i) {

@@ -161,35 +161,38 @@ Command NavigatePolicy::update(const std::optional<Guidance>& guidance, double t
     swung_s_ += dt_s;
   }
   // Velocity and heading when the command will act.
-  const auto [gained_m_s, turned_rad] = pending(time_s);
+  const Pending coming = pending(time_s);
   const Eigen::Vector3d current =
-      measured ? Eigen::Vector3d(*velocity_m_s + gained_m_s) : Eigen::Vector3d(speed, 0.0, 0.0);
+      measured ? Eigen::Vector3d(*velocity_m_s + coming.gained_m_s) : Eigen::Vector3d(speed, 0.0, 0.0);
   Command command;
   command.mode = CommandMode::kAcceleration;
   command.velocity_m_s = speed * desired;
   Eigen::Vector3d asked = direction_.update(wanted - current, dt_s);
   asked.x() = std::min({asked.x(), options_.max_forward_m_s2, options_.speed_m_s / options_.speed_up_s});
-  asked = Eigen::AngleAxisd(-turned_rad, Eigen::Vector3d::UnitZ()) * limit_norm(asked, options_.max_acceleration_m_s2);
+  asked = Eigen::AngleAxisd(-coming.turned_rad, Eigen::Vector3d::UnitZ()) *
+          limit_norm(asked, options_.max_acceleration_m_s2);
   command.acceleration_m_s2 =
       last_.acceleration_m_s2 +
       limit_norm(asked - last_.acceleration_m_s2, options_.max_jerk_m_s3 * std::max(dt_s, kFirstStep_s));
-  command.yaw_rate_rad_s = yaw_.update(std::atan2(desired.y(), desired.x()) - turned_rad, dt_s);
+  command.yaw_rate_rad_s = yaw_.update(std::atan2(desired.y(), desired.x()) - coming.turned_rad, dt_s);
   if (options_.delay_s > 0.0) {
+    while (given_.size() > 1 && given_[1].time_s <= time_s - options_.delay_s) {
+      given_.pop_front();
+    }
     given_.push_back({time_s, command.acceleration_m_s2, command.yaw_rate_rad_s});
   }
   return last_ = command;
 }
 
-NavigatePolicy::Pending NavigatePolicy::pending(double time_s) {
+NavigatePolicy::Pending NavigatePolicy::pending(double time_s) const {
   const double since_s = time_s - options_.delay_s;
-  while (given_.size() > 1 && given_[1].time_s <= since_s) {
-    given_.pop_front();
-  }
   Pending sum;
   for (std::size_t i = 0; i < given_.size(); ++i) {
     const double until_s = i + 1 < given_.size() ? given_[i + 1].time_s : time_s;
     const double lasting_s = std::max(0.0, until_s - std::max(given_[i].time_s, since_s));
-    sum.gained_m_s += lasting_s * given_[i].acceleration_m_s2;
+    const Eigen::Vector3d gained_m_s = lasting_s * given_[i].acceleration_m_s2;
+    sum.gained_m_s += gained_m_s;
+    sum.moved_m += (time_s - until_s + 0.5 * lasting_s) * gained_m_s;
     sum.turned_rad += lasting_s * given_[i].yaw_rate_rad_s;
   }
   return sum;

@@ -90,18 +90,21 @@ class NavigatePolicy {
                  const std::optional<Eigen::Vector3d>& velocity_m_s = std::nullopt);
   void reset() noexcept;
 
+  /// What commands that were given and have not acted yet will still change, until one of time_s acts.
+  struct Pending {
+    Eigen::Vector3d gained_m_s = Eigen::Vector3d::Zero();
+    Eigen::Vector3d moved_m = Eigen::Vector3d::Zero();  ///< by what is gained, so beside the present velocity's way
+    double turned_rad = 0.0;
+  };
+  [[nodiscard]] Pending pending(double time_s) const;
+  [[nodiscard]] const NavigatePolicyOptions& options() const noexcept { return options_; }
+
  private:
   struct Given {
     double time_s;
     Eigen::Vector3d acceleration_m_s2;
     double yaw_rate_rad_s;
   };
-  /// What commands that were given and have not acted yet will still change.
-  struct Pending {
-    Eigen::Vector3d gained_m_s = Eigen::Vector3d::Zero();
-    double turned_rad = 0.0;
-  };
-  Pending pending(double time_s);
 
   NavigatePolicyOptions options_;
   std::deque<Given> given_;  ///< of the last delay_s, and one before

@@ -170,7 +170,7 @@ class NavigateSkill final : public Skill {
     }
     // At rest there is nothing to be seen: what the map holds counts.
     const auto corridor = planner_.plan(scan, way_.position_m().head<2>(), attitude.yaw_rad,
-                                        std::atan2(goal.y(), goal.x()), input.velocity_m_s->head<2>());
+                                        std::atan2(goal.y(), goal.x()), start_of(*input.velocity_m_s, time_s));
     const Eigen::Vector3d free =
         levelled({std::cos(corridor.angle_rad), std::sin(corridor.angle_rad), 0.0}, input.too_high_m);
     const control::Guidance guidance{goal, free, weight_of(corridor), corridor.speed_m_s};
@@ -194,6 +194,13 @@ class NavigateSkill final : public Skill {
       }
     }
     return true;
+  }
+
+  /// Where the command of now will find the vehicle.
+  [[nodiscard]] tasks::CorridorStart start_of(const Eigen::Vector3d& velocity_m_s, double time_s) const {
+    const auto pending = policy_.pending(time_s);
+    const Eigen::Vector3d moved_m = policy_.options().delay_s * velocity_m_s + pending.moved_m;
+    return {(velocity_m_s + pending.gained_m_s).head<2>(), moved_m.head<2>()};
   }
 
   /// The last choice, for a heading that has turned since; nothing where it is too old.

@@ -112,23 +112,27 @@ void CorridorPlanner::solve(double goal_rad) {
   to_go_.solve(costs, options_.goal_ahead_m * Eigen::Vector2d(std::cos(goal_rad), std::sin(goal_rad)));
 }
 
-double CorridorPlanner::least_way_m(const Eigen::Vector2d& velocity_m_s) const {
-  return options_.least_way_m + options_.least_way_s * velocity_m_s.norm();
+double CorridorPlanner::least_way_m(const CorridorStart& start) const {
+  return options_.least_way_m + options_.least_way_s * start.velocity_m_s.norm();
+}
+
+Eigen::Vector2d CorridorPlanner::middle_m(const CorridorStart& start) const {
+  return start.moved_m - Eigen::Vector2d(options_.camera_ahead_m, 0.0);
 }
 
 CorridorPlanner::Way CorridorPlanner::roll(double angle_rad, double hold_m, double end_m,
-                                           const Eigen::Vector2d& velocity_m_s) const {
+                                           const CorridorStart& start) const {
   constexpr double kStep_m = 0.15;
   constexpr double kSlowest_m_s = 2.0;  // a vehicle at rest turns on the spot; the way is what counts
   constexpr double kNearer_m = 0.05;    // what is near already blocks where the way leads nearer by so much
   constexpr double kBetter_m = 0.02;
-  const double speed = std::max(velocity_m_s.norm(), kSlowest_m_s);
+  const double speed = std::max(start.velocity_m_s.norm(), kSlowest_m_s);
   const double dt_s = kStep_m / speed;
-  const double least_m = least_way_m(velocity_m_s);
-  const bool resting = velocity_m_s.norm() < kResting_m_s;
+  const double least_m = least_way_m(start);
+  const bool resting = start.velocity_m_s.norm() < kResting_m_s;
   Eigen::Vector2d wanted = speed * Eigen::Vector2d(std::cos(angle_rad), std::sin(angle_rad));
-  Eigen::Vector2d velocity = velocity_m_s;
-  Eigen::Vector2d at(-options_.camera_ahead_m, 0.0);
+  Eigen::Vector2d velocity = start.velocity_m_s;
+  Eigen::Vector2d at = middle_m(start);
   double reached = clearance(at);
   double along = 0.0;
   double spent = 0.0;
@@ -171,7 +175,7 @@ CorridorPlanner::Way CorridorPlanner::roll(double angle_rad, double hold_m, doub
   return way;
 }
 
-double CorridorPlanner::speed_for(const Corridor& corridor, double speed_m_s) const {
+double CorridorPlanner::speed_for(const Corridor& corridor, const CorridorStart& start) const {
   // It flies on for a while before it brakes: within_m = v t + v^2 / 2 a.
   const double late_m_s = options_.brake_m_s2 * (options_.lag_s + 1.0 / options_.turn_per_s);
   const auto braked = [&](double within_m) {
@@ -180,18 +184,18 @@ double CorridorPlanner::speed_for(const Corridor& corridor, double speed_m_s) co
   };
   double speed = std::max(braked(corridor.free_m), std::min(braked(corridor.bare_m), options_.squeeze_m_s));
   constexpr double kTouching_m = 0.05;
-  if (clearance(Eigen::Vector2d(-options_.camera_ahead_m, 0.0)) < options_.bare_m + kTouching_m) {
+  if (clearance(middle_m(start)) < options_.bare_m + kTouching_m) {
     speed = std::min(speed, options_.squeeze_m_s);
   }
   // What lies aside has not been seen yet: there it speeds up the less the further aside it is.
   const double aside = std::clamp(
       (std::abs(corridor.angle_rad) - options_.aside_rad) / (options_.fan_rad - options_.aside_rad), 0.0, 1.0);
-  const double kept = std::max(speed_m_s, options_.squeeze_m_s);
+  const double kept = std::max(start.velocity_m_s.norm(), options_.squeeze_m_s);
   return std::min(speed, kept + (1.0 - aside) * std::max(0.0, braked(options_.horizon_m) - kept));
 }
 
 Corridor CorridorPlanner::plan(const std::optional<HorizonScan>& scan, const Eigen::Vector2d& position_m,
-                               double yaw_rad, double goal_rad, const Eigen::Vector2d& velocity_m_s) {
+                               double yaw_rad, double goal_rad, const CorridorStart& start) {
   if (scan) {
     map_.add(*scan, position_m, yaw_rad);
   }
@@ -210,9 +214,9 @@ Corridor CorridorPlanner::plan(const std::optional<HorizonScan>& scan, const Eig
   solve(goal);
   double best_cost = std::numeric_limits<double>::infinity();
   double best_m = 0.0;
-  const double longest_m = std::max(options_.need_m, least_way_m(velocity_m_s));
+  const double longest_m = std::max(options_.need_m, least_way_m(start));
   const auto consider = [&](double angle) {
-    const Way way = roll(angle, longest_m, longest_m, velocity_m_s);
+    const Way way = roll(angle, longest_m, longest_m, start);
     const double cost = way.cost + options_.keep_weight * std::abs(angle - last);
     if (cost < best_cost) {
       best_cost = cost;
@@ -221,7 +225,7 @@ Corridor CorridorPlanner::plan(const std::optional<HorizonScan>& scan, const Eig
     }
   };
   const auto follow = [&] {
-    const Way way = roll(best.angle_rad, best_m, options_.horizon_m, velocity_m_s);
+    const Way way = roll(best.angle_rad, best_m, options_.horizon_m, start);
     best.free_m = way.narrow_m;
     best.bare_m = way.bare_m;
   };
@@ -230,15 +234,15 @@ Corridor CorridorPlanner::plan(const std::optional<HorizonScan>& scan, const Eig
     consider(i * step - options_.fan_rad);
   }
   follow();
-  if (best.free_m < options_.blocked_m && velocity_m_s.norm() < kResting_m_s) {
+  if (best.free_m < options_.blocked_m && start.velocity_m_s.norm() < kResting_m_s) {
     for (double angle = options_.fan_rad + step; angle <= options_.wide_fan_rad; angle += step) {
       consider(angle);
       consider(-angle);
     }
     follow();
   }
-  best.goal_free_m = roll(goal, options_.horizon_m, options_.horizon_m, velocity_m_s).narrow_m;
-  best.speed_m_s = speed_for(best, velocity_m_s.norm());
+  best.goal_free_m = roll(goal, options_.horizon_m, options_.horizon_m, start).narrow_m;
+  best.speed_m_s = speed_for(best, start);
   last_rad_ = yaw_rad + best.angle_rad;
   return best;
 }

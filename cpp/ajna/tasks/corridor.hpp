@@ -50,6 +50,13 @@ struct Corridor {
   double speed_m_s = 0.0;    ///< that can still be braked
 };
 
+/// Where a vehicle will be when a command of now acts, and how it will fly then: heading frame of now (forward,
+/// right), metres from where it is.
+struct CorridorStart {
+  Eigen::Vector2d velocity_m_s = Eigen::Vector2d::Zero();
+  Eigen::Vector2d moved_m = Eigen::Vector2d::Zero();
+};
+
 /// The way to the goal that costs least on a map of what all frames have shown: a metre costs 1, more where things
 /// stand near to it, much more where the vehicle touches them. What a way costs from each point on is solved for first
 /// (CostToGo). The vehicle cannot turn on the spot: each direction is flown, as far as it is known how it turns, for at
@@ -58,9 +65,9 @@ class CorridorPlanner {
  public:
   explicit CorridorPlanner(const CorridorOptions& options = {}, const OccupancyOptions& map = {});
   /// scan: of this frame; nothing where it shows nothing. position_m, yaw_rad: of the vehicle against fixed axes
-  /// (north, east), yaw to the right. goal_rad: to the right of the heading. velocity_m_s: forward, right.
+  /// (north, east), yaw to the right. goal_rad: to the right of the heading. start: of the way that is chosen.
   Corridor plan(const std::optional<HorizonScan>& scan, const Eigen::Vector2d& position_m, double yaw_rad,
-                double goal_rad, const Eigen::Vector2d& velocity_m_s = Eigen::Vector2d::Zero());
+                double goal_rad, const CorridorStart& start = {});
   void reset() noexcept;
   [[nodiscard]] const CorridorOptions& options() const noexcept { return options_; }
   /// What stood where when last planned, heading frame.
@@ -74,12 +81,13 @@ class CorridorPlanner {
     double bare_m = 0.0;    ///< how far one of bare_m is
   };
   /// The way that the vehicle takes to a direction, kept for hold_m, then the cheapest way on, up to end_m.
-  [[nodiscard]] Way roll(double angle_rad, double hold_m, double end_m, const Eigen::Vector2d& velocity_m_s) const;
-  [[nodiscard]] double least_way_m(const Eigen::Vector2d& velocity_m_s) const;
+  [[nodiscard]] Way roll(double angle_rad, double hold_m, double end_m, const CorridorStart& start) const;
+  [[nodiscard]] double least_way_m(const CorridorStart& start) const;
   void solve(double goal_rad);
   [[nodiscard]] double cost(double clearance_m) const;
-  [[nodiscard]] double speed_for(const Corridor& corridor, double speed_m_s) const;
+  [[nodiscard]] double speed_for(const Corridor& corridor, const CorridorStart& start) const;
   [[nodiscard]] double clearance(const Eigen::Vector2d& point_m) const;
+  [[nodiscard]] Eigen::Vector2d middle_m(const CorridorStart& start) const;  ///< of the vehicle, from its camera
   void measure();
 
   CorridorOptions options_;
