@@ -236,3 +236,19 @@ def test_scenes_are_the_same_every_time_and_held_out() -> None:
     ):
         with pytest.raises(ValueError, match=message):
             SyntheticScenes(**options)
+
+
+def test_scenes_of_a_mix_are_those_of_its_presets() -> None:
+    small = {"bank_size": 8, "texture_size": 64}
+    count = 12
+    mixed = SyntheticScenes(count, *SIZE, seed=4, scene={**small, "mix": {"gap": 1, "pile": 1}})
+    alone = {name: SyntheticScenes(count, *SIZE, seed=4, scene={**small, "preset": name}) for name in ("gap", "pile")}
+    found = []
+    for index in range(count):
+        frame = mixed[index].frame1
+        (name,) = [name for name, scenes in alone.items() if np.array_equal(scenes[index].frame1, frame)]
+        found.append(name)
+    assert set(found) == {"gap", "pile"}
+    assert "mix={'gap': 1, 'pile': 1}" in mixed.describe()
+    with pytest.raises(ValueError, match="'preset' and 'mix' were both given"):
+        SyntheticScenes(2, scene={"preset": "gap", "mix": {"gap": 1}})

@@ -262,6 +262,8 @@ def test_the_command_reads_data_sets(tiny_checkpoint: Path, tmp_path: Path, caps
         (["--root", "."], "leave out --root"),
         (["--set", "bank_sice=8"], "unknown scene option 'bank_sice', did you mean 'bank_size'"),
         (["--set", "layers=many"], "scene option 'layers' = 'many': give a value of type int"),
+        (["--set", "mix=gap"], "scene option 'mix' = 'gap': give presets with weights"),
+        (["--set", "mix=gap:1,pyle:1"], "unknown scene preset 'pyle'"),
         (["--size", "full"], "no size of their own"),
         (["--size", "48"], "is not WIDTHxHEIGHT"),
         (["--levels", "0.5,x"], "not numbers"),

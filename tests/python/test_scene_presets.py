@@ -13,8 +13,8 @@ from PIL import Image
 
 from ajna import synth
 from ajna.cli import main
+from ajna.data.scene_mix import MixedScenes, merge_scenes, scene_configs
 from ajna.training.data import SyntheticData
-from ajna.training.mix import MixedScenes, merge_scenes, scene_configs
 from ajna.training.options import Stage, ValidationOptions
 
 SMALL = {"bank_size": 4, "texture_size": 48}

@@ -137,6 +137,8 @@ def _scene_options(texts: dict[str, str]) -> dict[str, Any]:
     from ajna import synth
 
     known, options = synth.scene_options(), dict[str, Any](texts)
+    if "mix" in texts:
+        options["mix"] = _mix(texts["mix"])
     for name in texts.keys() & known.keys():
         kind = type(known[name])
         try:
@@ -144,6 +146,16 @@ def _scene_options(texts: dict[str, str]) -> dict[str, Any]:
         except ValueError:
             raise ValueError(f"scene option '{name}' = '{texts[name]}': give a value of type {kind.__name__}") from None
     return options
+
+
+def _mix(text: str) -> dict[str, float]:
+    """general:4,gap:2 as presets with weights."""
+    try:
+        return {name: float(weight) for name, weight in (part.split(":") for part in text.split(","))}
+    except ValueError:
+        raise ValueError(
+            f"scene option 'mix' = '{text}': give presets with weights, for example mix=general:4,gap:2"
+        ) from None
 
 
 def _levels(text: str) -> list[float]:

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from ajna import synth
 from ajna.data.dataset import FlowDataset
 from ajna.data.frame_pair import FramePair
+from ajna.data.scene_mix import MixedScenes, scene_configs
 
 _HELD_OUT_BIT = 1 << 63  # training seeds lie below 2**62, validation seeds below 2**63: no scene is shared with them
 
@@ -33,7 +33,8 @@ class SyntheticScenes(FlowDataset):
         motion: multiplies the configured displacements.
         photos: folder with photographs to cut textures from, beside the procedural ones.
         photo_count: textures cut from them.
-        scene: options of `ajna.synth.SceneConfig` that differ from its defaults.
+        scene: options of `ajna.synth.SceneConfig` that differ from its defaults; ``preset`` or ``mix`` (see
+            :mod:`ajna.data.scene_mix`) names kinds of scenes.
 
     Raises:
         ValueError: an option out of range, or an unknown scene option.
@@ -61,22 +62,20 @@ class SyntheticScenes(FlowDataset):
         self.width, self.height, self.seed, self.motion = width, height, seed, motion
         self.photos, self.photo_count = photos, photo_count
         self._options = dict(scene or {})
-        self._config = synth.scene_config(scene)
+        scene_configs(self._options)  # refuses what is not known
         if photos is not None and not Path(photos).is_dir():
             raise FileNotFoundError(f"photograph folder '{photos}' does not exist: give a folder of .jpg or .png files")
-        self._generator: synth.PairGenerator | None = None
+        self._generator: MixedScenes | None = None
 
     def describe(self) -> str:
         """One line for a model card."""
         options = "".join(f", {name}={value}" for name, value in self._options.items())
         return f"synthetic scenes {'with' if self.photos else 'without'} photographs, seed {self.seed}{options}"
 
-    def _made(self) -> synth.PairGenerator:
+    def _made(self) -> MixedScenes:
         if self._generator is None:  # the texture bank takes a second, and memory
-            bank_seed, cuts = _seed(self.seed, 0), None
-            if self.photos is not None:
-                cuts = synth.load_photos(self.photos, self.photo_count, self._config.texture_size, bank_seed)
-            self._generator = synth.PairGenerator(self._config, bank_seed, "cpu", cuts)
+            photos = None if self.photos is None else str(self.photos)
+            self._generator = MixedScenes(self._options, "cpu", photos, self.photo_count, _seed(self.seed, 0))
         return self._generator
 
     def read(self, index: int) -> FramePair:

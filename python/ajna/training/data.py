@@ -10,7 +10,7 @@ from typing import Any
 import lightning.pytorch as pl
 import torch
 
-from ajna.training.mix import MixedScenes, merge_scenes, scene_configs
+from ajna.data.scene_mix import MixedScenes, merge_scenes, scene_configs
 from ajna.training.options import Stage, ValidationOptions, check_stages
 from ajna.training.seeds import validation_seed
 from ajna.training.stream import Batch, SceneStream

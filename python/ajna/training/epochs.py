@@ -15,7 +15,7 @@ from torch import Tensor
 from ajna.data.dataset import FlowDataset
 from ajna.data.pack_format import common_parts
 from ajna.data.packed import PackedDataset, ResidentPack
-from ajna.training.seeds import derive_seed
+from ajna.data.seeds import derive_seed
 from ajna.training.stream import Batch, in_background
 from ajna.training.windows import cropped, fitted_size, pair_tensors, scaled
 

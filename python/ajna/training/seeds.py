@@ -3,15 +3,9 @@
 
 from __future__ import annotations
 
-import hashlib
+from ajna.data.seeds import derive_seed
 
 _VALIDATION_BIT = 1 << 62
-
-
-def derive_seed(*parts: int | str) -> int:
-    """A 62-bit seed from ``parts``: equal parts give equal seeds; other parts give unrelated ones."""
-    text = "/".join(str(part) for part in parts)
-    return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=8).digest(), "big") >> 2
 
 
 def training_seed(run_seed: int, stage: int, number: int, rank: int) -> int:

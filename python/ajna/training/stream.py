@@ -14,8 +14,9 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from ajna.data.seeds import derive_seed
 from ajna.training.options import Stage, check_stages
-from ajna.training.seeds import derive_seed, training_seed
+from ajna.training.seeds import training_seed
 
 Batch = dict[str, Any]
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Scenes of a training stage: one kind, or a mix of presets of which each batch takes one.
+"""Scenes of one kind, or of a mix of presets of which each batch takes one.
 
 A mix stands in a config as ``scene: {mix: {general: 0.4, dodge: 0.15, navigate: 0.45}}``. The weights need not add up
 to 1. Options beside ``mix`` replace those of every preset in it.
@@ -16,7 +16,7 @@ from typing import Any
 import torch
 
 from ajna import synth
-from ajna.training.seeds import derive_seed
+from ajna.data.seeds import derive_seed
 
 
 def merge_scenes(run: Mapping[str, Any], stage: Mapping[str, Any]) -> dict[str, Any]:
