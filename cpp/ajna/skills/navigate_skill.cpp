@@ -25,15 +25,6 @@ double delay_s(const SkillOptions& options) {
   return options.latency_s + std::max(0.0, 0.5 / options.planning_rate_hz - 0.5 / kUsual_hz);
 }
 
-tasks::CorridorOptions corridor_options(const SkillOptions& options) {
-  tasks::CorridorOptions corridor = options.corridor;
-  // What is seen late has been turned towards already: to change sides then costs more. (A longer lag of the planner's
-  // vehicle flew worse: it then takes no way between trunks.)
-  constexpr double kKeep_per_s = 3.4;
-  corridor.keep_weight += kKeep_per_s * delay_s(options);
-  return corridor;
-}
-
 control::NavigatePolicyOptions policy_options(const SkillOptions& options) {
   control::NavigatePolicyOptions policy = options.navigate_policy;
   policy.delay_s += delay_s(options);
@@ -57,7 +48,7 @@ class NavigateSkill final : public Skill {
         memory_(max_age_s_),
         way_(options.corridor.camera_ahead_m, max_age_s_),
         pipeline_(pipeline_options(options)),
-        planner_(corridor_options(options), options.occupancy),
+        planner_(options.corridor, options.occupancy),
         policy_(policy_options(options)) {
     tasks::validate(options.horizon);
   }
