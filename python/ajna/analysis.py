@@ -80,29 +80,38 @@ def distance_to(mask: NDArray[np.bool_], limit: int = MAX_DISTANCE) -> Map:
     return distance
 
 
-def boundary_ratio(
-    frame: NDArray[np.uint8], boundary: NDArray[np.bool_], occluded: NDArray[np.bool_] | None, uncertainty: ArrayLike
-) -> float:
-    """How much more uncertain a method is where motion jumps or is hidden than on plain, textured surfaces.
+def boundary_regions(
+    frame: NDArray[np.uint8], boundary: NDArray[np.bool_], occluded: NDArray[np.bool_] | None
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Where motion jumps or is hidden, and plain, textured surfaces: bool [H, W] each.
 
-    The median uncertainty within AT_PX of a motion boundary or at occluded pixels, over that of pixels with a local
-    contrast of FLAT_GREY and more that are farther than AWAY_PX from either; BORDER_PX of the image do not count.
+    The first is within AT_PX of a motion boundary or occluded; the second has a local contrast of FLAT_GREY and more
+    and is farther than AWAY_PX from both. BORDER_PX of the image are in neither.
 
     Args:
-        frame: RGB uint8 [H, W, 3]. boundary, occluded: bool [H, W]; uncertainty: [H, W], any unit; NaN does not
-            count.
-
-    Returns:
-        The ratio; NaN where either region has fewer than LEAST_PX pixels.
+        frame: RGB uint8 [H, W, 3]. boundary, occluded: bool [H, W].
     """
     hidden = np.zeros_like(boundary) if occluded is None else occluded
     inside = np.zeros_like(boundary)
     inside[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX] = True
     distance = distance_to(boundary | hidden, AWAY_PX + 1)
     at = inside & ((distance_to(boundary, AT_PX + 1) <= AT_PX) | hidden)
-    plain = inside & (distance > AWAY_PX) & (local_contrast(frame) >= FLAT_GREY)
+    return at, inside & (distance > AWAY_PX) & (local_contrast(frame) >= FLAT_GREY)
+
+
+def boundary_ratio(regions: tuple[NDArray[np.bool_], NDArray[np.bool_]], uncertainty: ArrayLike) -> float:
+    """How much more uncertain a method is where motion jumps or is hidden than on plain, textured surfaces.
+
+    The ratio of the medians over both regions (see :func:`boundary_regions`).
+
+    Args:
+        uncertainty: [H, W], any unit; NaN does not count.
+
+    Returns:
+        The ratio; NaN where either region has fewer than LEAST_PX pixels.
+    """
     values = np.asarray(uncertainty)
-    special, usual = values[at & ~np.isnan(values)], values[plain & ~np.isnan(values)]
+    special, usual = (values[region & ~np.isnan(values)] for region in regions)
     if min(special.size, usual.size) < LEAST_PX:
         return float("nan")
     level = float(np.median(usual))

@@ -16,7 +16,7 @@ import math
 import statistics
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -42,6 +42,7 @@ from ajna.metrics import (
     Spearman,
     motion_boundaries,
 )
+from ajna.pooled_ratio import PooledRatio
 
 # Motion far beyond what a network for a drone's frames is meant for (Sintel's market_5 holds |flow| up to 132 px, 32 px
 # in the mean) would alone decide a mean end-point error over a handful of pairs. Such cases tell about uncertainty only
@@ -60,6 +61,12 @@ ERROR_FIGURES = (
     "ece_px",
     "width_90_px",
 )
+
+#: figures over the pixels of all cases -> those of a case
+POOLED = {
+    "pooled_boundary_ratio": "expected_boundary_ratio",
+    "pooled_error_boundary_ratio": "error_boundary_ratio",
+}
 
 INTERVAL_LEVEL = 0.9  # of the coverage per case
 DENSE_SHARE = 0.5  # of pixels with ground truth: with fewer it does not show where motion jumps
@@ -85,6 +92,8 @@ class Scores:
     boundary_ratio: float | None = None  # median uncertainty there and at hidden pixels over that of textured surfaces
     expected_boundary_ratio: float | None = None  # the same of the expected error, where a method gives one
     error_boundary_ratio: float | None = None  # the same of the actual error, where it is known
+    pooled_boundary_ratio: float | None = None  # expected_boundary_ratio over the pixels of all cases: mean rows only
+    pooled_error_boundary_ratio: float | None = None  # and so error_boundary_ratio
     ece_px: float | None = None  # expected calibration error of the expected error; calibrated models only
     coverage_90: float | None = None  # share of flow components inside their 90 % interval; calibrated models only
     width_90_px: float | None = None  # mean width of these intervals, pixels
@@ -98,9 +107,14 @@ class MethodReport:
     cases: dict[str, Scores] = field(default_factory=dict)
     curves: SparsificationCurves | None = None  # mean over the cases with ground truth
     run_times_ms: list[float] = field(default_factory=list)  # every timed call, `repeats` a case
+    pooled: dict[str, PooledRatio] = field(default_factory=lambda: {name: PooledRatio() for name in POOLED})
     calibration: HeldOut | None = None  # over all cases with ground truth; calibrated models only
     mean: Scores = field(default_factory=Scores)
     mean_without_excluded: Scores | None = None
+
+    def pooled_ratios(self) -> dict[str, float | None]:
+        """The figures POOLED, over the pixels of all cases but those left out."""
+        return {figure: pooled.ratio for figure, pooled in self.pooled.items()}
 
 
 @dataclass
@@ -170,7 +184,8 @@ def evaluate(
         pair = native if size is None else native.resized(*size)
         for name, method in methods.items():
             result, times_ms = _run(name, method, pair, repeats)
-            scores = _score(pair, result, statistics.median(times_ms), curves[name], reports[name])
+            counted = pair.name not in {*left_out, *excluded}
+            scores = _score(pair, result, statistics.median(times_ms), curves[name], reports[name], counted)
             reports[name].run_times_ms.extend(times_ms)
             reports[name].cases[pair.name] = scores
             if on_case is not None:
@@ -180,10 +195,12 @@ def evaluate(
     for name, report in reports.items():
         if any(scores.ause is not None for scores in report.cases.values()):
             report.curves = curves[name].compute()
-        report.mean = mean_scores(report.cases, without_errors=left_out)
+        pooled = report.pooled_ratios()  # without the excluded, here and there
+        report.mean = replace(mean_scores(report.cases, without_errors=left_out), **pooled)
         if excluded:
             rest = {case: scores for case, scores in report.cases.items() if case not in excluded}
-            report.mean_without_excluded = mean_scores(rest, without_errors=left_out)
+            mean = mean_scores(rest, without_errors=left_out)
+            report.mean_without_excluded = replace(mean, **pooled)
     return Evaluation(size, reports, left_out, excluded, dict(dataset.bad))
 
 
@@ -230,7 +247,9 @@ def _run(name: str, method: FlowMethod, pair: FramePair, repeats: int) -> tuple[
     return result, times
 
 
-def _score(pair: FramePair, result: Any, run_time_ms: float, curves: Sparsification, report: MethodReport) -> Scores:
+def _score(
+    pair: FramePair, result: Any, run_time_ms: float, curves: Sparsification, report: MethodReport, counted: bool
+) -> Scores:
     uncertainty = _batch(result.uncertainty)
     if pair.flow is None or pair.valid is None:
         auc = None if pair.occlusion is None else OcclusionAUC()(uncertainty, torch.from_numpy(pair.occlusion)[None])
@@ -260,30 +279,38 @@ def _score(pair: FramePair, result: Any, run_time_ms: float, curves: Sparsificat
         pearson=_defined(Pearson()(prediction, target, uncertainty, valid)),
         occlusion_auc=_defined(auc),
         motion_boundary_auc=_defined(MotionBoundaryAUC()(uncertainty, boundary, valid)),
-        **_boundary_ratios(pair, boundary[0].numpy(), result),
+        **_boundary_ratios(pair, boundary[0].numpy(), result, report.pooled if counted else {}),
         **_calibration_scores(prediction, target, valid, result, report),
         run_time_ms=run_time_ms,
     )
 
 
-def _boundary_ratios(pair: FramePair, boundary: NDArray[np.bool_], result: Any) -> dict[str, float]:
-    """See `analysis.boundary_ratio`; without those not defined, empty where ground truth is too sparse for boundaries.
+def _boundary_ratios(
+    pair: FramePair, boundary: NDArray[np.bool_], result: Any, pooled: Mapping[str, PooledRatio]
+) -> dict[str, float]:
+    """See `analysis.boundary_ratio`; without those not defined. Where ground truth is too sparse to show where motion
+    jumps, what the mask says to be hidden counts alone; empty without a mask.
 
     A ratio depends on the unit: the paper's Y goes about with the root of the error that it stands for, so only the
     expected error's compares with the actual error's, and with that of methods whose uncertainty is in pixels.
     """
-    if pair.flow is None or pair.valid is None or pair.valid.mean() < DENSE_SHARE:
+    if pair.flow is None or pair.valid is None:
         return {}
+    if pair.valid.mean() < DENSE_SHARE:
+        if pair.occlusion is None:
+            return {}
+        boundary = np.zeros_like(boundary)
     maps = {
         "boundary_ratio": result.uncertainty,
         "expected_boundary_ratio": getattr(result, "expected_error", None),
         "error_boundary_ratio": np.where(pair.valid[..., None], result.flow - pair.flow, np.nan),
     }
-    ratios = {
-        name: analysis.boundary_ratio(pair.frame1, boundary, pair.occlusion, np.linalg.norm(np.asarray(given), axis=2))
-        for name, given in maps.items()
-        if given is not None
-    }
+    sizes = {name: np.linalg.norm(np.asarray(given), axis=2) for name, given in maps.items() if given is not None}
+    regions = analysis.boundary_regions(pair.frame1, boundary, pair.occlusion)
+    for figure, one in pooled.items():
+        if (size := sizes.get(POOLED[figure])) is not None:
+            one.add(*(size[region] for region in regions))
+    ratios = {name: analysis.boundary_ratio(regions, size) for name, size in sizes.items()}
     return {name: ratio for name, ratio in ratios.items() if math.isfinite(ratio)}
 
 

@@ -219,17 +219,20 @@ def test_boundary_ratio_is_of_medians_over_regions() -> None:
     uncertainty[:, 48:53] = 2.0  # within two steps of the boundary
     uncertainty[hidden] = 2.0
     uncertainty[:8] = 100.0  # the image's border does not count
-    assert analysis.boundary_ratio(frame, boundary, hidden, uncertainty) == pytest.approx(4.0)
+    both, jumps = (analysis.boundary_regions(frame, boundary, mask) for mask in (hidden, None))
+    assert not (both[0] & both[1]).any() and not both[0][:8].any() and not both[1][:, -8:].any()
+    assert analysis.boundary_ratio(both, uncertainty) == pytest.approx(4.0)
     uncertainty[hidden] = 0.5  # 200 hidden pixels against 320 at the boundary
-    assert analysis.boundary_ratio(frame, boundary, hidden, uncertainty) == pytest.approx(4.0)
-    assert analysis.boundary_ratio(frame, boundary, None, 3 * uncertainty) == pytest.approx(4.0)
+    assert analysis.boundary_ratio(both, uncertainty) == pytest.approx(4.0)
+    assert analysis.boundary_ratio(jumps, 3 * uncertainty) == pytest.approx(4.0)
     unknown = uncertainty.copy()
     unknown[10:40] = np.nan  # no ground truth there
-    assert analysis.boundary_ratio(frame, boundary, None, unknown) == pytest.approx(4.0)
-    assert np.isnan(analysis.boundary_ratio(frame, boundary, None, np.full_like(uncertainty, np.nan)))  # none anywhere
-    flat = np.full_like(frame, 90)
-    assert np.isnan(analysis.boundary_ratio(flat, boundary, hidden, uncertainty))  # nothing is textured
-    assert np.isnan(analysis.boundary_ratio(frame, np.zeros_like(boundary), None, uncertainty))
+    assert analysis.boundary_ratio(jumps, unknown) == pytest.approx(4.0)
+    assert np.isnan(analysis.boundary_ratio(jumps, np.full_like(uncertainty, np.nan)))  # none anywhere
+    flat = analysis.boundary_regions(np.full_like(frame, 90), boundary, hidden)
+    assert np.isnan(analysis.boundary_ratio(flat, uncertainty))  # nothing is textured
+    nowhere = analysis.boundary_regions(frame, np.zeros_like(boundary), None)
+    assert np.isnan(analysis.boundary_ratio(nowhere, uncertainty))
 
 
 def test_every_plot_is_a_picture_of_its_data() -> None:

@@ -29,7 +29,7 @@ SHIFTS = {"slow": (2, 0), "fast": (-4, 3), "sintel_market5_final_0002": (40, 0)}
 KEYS = {
     *("epe", "zero_epe", "ratio", "fl_all", "outlier_1px", "outlier_3px", "outlier_5px"),
     *("ause", "ause_fl", "rho", "pearson", "occlusion_auc", "motion_boundary_auc", "boundary_ratio"),
-    *("expected_boundary_ratio", "error_boundary_ratio"),
+    *("expected_boundary_ratio", "error_boundary_ratio", "pooled_boundary_ratio", "pooled_error_boundary_ratio"),
     *("ece_px", "coverage_90", "width_90_px", "run_time_ms"),
 }
 

@@ -42,8 +42,15 @@ def test_every_preset_and_method_is_scored_on_the_same_scenes() -> None:
     shares: list[float] = []
     rows = run({"known": Known(), "zero": ZeroFlow()}, OPTIONS, shares.append)
     assert [(row.preset, row.method) for row in rows] == [
-        ("gap", "known"), ("gap", "zero"), ("dodge", "known"), ("dodge", "zero")
+        ("gap", "known"), ("gap", "zero"), ("dodge", "known"), ("dodge", "zero"),
+        ("all presets", "known"), ("all presets", "zero"),
     ]  # fmt: skip
+    gap, dodge, both = rows[1::2]
+    assert both.mean.epe == pytest.approx((gap.mean.epe + dodge.mean.epe) / 2)
+    ratios = [row.mean.pooled_boundary_ratio for row in (gap, dodge, both)]
+    assert min(ratios[:2]) <= ratios[2] <= max(ratios[:2])
+    low, high = both.interval["pooled_boundary_ratio"]
+    assert low <= ratios[2] <= high
     assert shares[-1] == 1.0 and shares == sorted(shares)
     for known, zero in zip(rows[::2], rows[1::2], strict=True):
         assert known.mean.epe == 0.0 and zero.mean.epe == pytest.approx(zero.mean.zero_epe)

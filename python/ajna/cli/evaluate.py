@@ -202,6 +202,9 @@ def print_tables(result: Evaluation, console: Console, root: Path) -> None:
     for name, report in result.methods.items():
         if report.calibration is not None:
             console.print(f"{name}: {_calibration_line(report.calibration)}")
+    for name, report in result.methods.items():
+        if (line := _pooled_line(report.mean)) is not None:
+            console.print(f"{name}: {line}")
     if result.excluded:
         console.print(f"excluded: {', '.join(result.excluded)}")
     if result.bad:
@@ -223,6 +226,15 @@ def _calibration_line(figures: HeldOut) -> str:
     shares = zip(curve.levels.tolist(), curve.coverage.tolist(), curve.width.tolist(), strict=True)
     intervals = "; ".join(f"{level:.0%}: {share:.1%}, {width:.1f} px" for level, share, width in shares)
     return f"expected error off by {figures.reliability.ece.item():.2f} px (ECE); intervals hold, are wide: {intervals}"
+
+
+def _pooled_line(mean: Scores) -> str | None:
+    if mean.pooled_boundary_ratio is None:
+        return None
+    error = mean.pooled_error_boundary_ratio
+    true = "" if error is None else f" (the true error {error:.1f} times)"
+    times = f"{mean.pooled_boundary_ratio:.1f} times that of textured surfaces"
+    return f"expected error at boundaries and where hidden {times}{true}, over the pixels of all cases"
 
 
 def _cells(scores: Scores) -> list[str]:

@@ -4,17 +4,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 from ajna import synth
 from ajna.baselines import FlowMethod
 from ajna.bootstrap import bootstrap_interval
 from ajna.data.synthetic import SyntheticScenes
-from ajna.evaluation import Scores, evaluate
+from ajna.evaluation import MethodReport, Scores, evaluate, mean_scores
 from ajna.studies.checks import check_scenes
 
 __all__ = ["COLUMNS", "PresetOptions", "PresetRow", "markdown", "run"]
+
+TOGETHER = "all presets"  # the row over the scenes of all
 
 #: figure of `Scores` -> (heading, digits, factor)
 COLUMNS: dict[str, tuple[str, int, float]] = {
@@ -26,6 +28,8 @@ COLUMNS: dict[str, tuple[str, int, float]] = {
     "motion_boundary_auc": ("boundary AUC", 2, 1.0),
     "expected_boundary_ratio": ("times at boundaries", 1, 1.0),
     "error_boundary_ratio": ("true error's", 1, 1.0),
+    "pooled_boundary_ratio": ("times at boundaries, all pixels", 1, 1.0),
+    "pooled_error_boundary_ratio": ("true error's, all pixels", 1, 1.0),
     "coverage_90": ("in 90 % interval, %", 1, 100.0),
 }
 
@@ -50,7 +54,7 @@ class PresetOptions:
 
 @dataclass(frozen=True)
 class PresetRow:
-    """What a method scored on the scenes of a preset."""
+    """What a method scored on the scenes of a preset, or of all of them (TOGETHER)."""
 
     preset: str
     method: str
@@ -71,6 +75,7 @@ def run(
     """
     names = list(options.presets) or list(synth.presets())
     rows = []
+    everything = {method: MethodReport() for method in methods}
     done, total = 0, len(names) * options.scenes * len(methods)
 
     def on_case(*_: Any) -> None:
@@ -85,13 +90,27 @@ def run(
         )
         result = evaluate(scenes, methods, size=None, repeats=1, on_case=on_case)
         for method, report in result.methods.items():
-            intervals = {}
-            for figure in (item.name for item in fields(Scores)):
-                values = [value for case in report.cases.values() if (value := getattr(case, figure)) is not None]
-                if len(values) > 1:
-                    intervals[figure] = bootstrap_interval(values)
-            rows.append(PresetRow(name, method, report.mean, intervals))
+            rows.append(_row(name, method, report))
+            for figure, pooled in report.pooled.items():
+                everything[method].pooled[figure].join(pooled)
+            everything[method].cases |= {f"{name}/{case}": scores for case, scores in report.cases.items()}
+    if len(names) > 1:
+        for method, report in everything.items():
+            report.mean = replace(mean_scores(report.cases), **report.pooled_ratios())
+            rows.append(_row(TOGETHER, method, report))
     return rows
+
+
+def _row(preset: str, method: str, report: MethodReport) -> PresetRow:
+    intervals = {}
+    for figure in (item.name for item in fields(Scores)):
+        values = [value for case in report.cases.values() if (value := getattr(case, figure)) is not None]
+        if len(values) > 1:
+            intervals[figure] = bootstrap_interval(values)
+    for figure, pooled in report.pooled.items():
+        if (interval := pooled.interval()) is not None:
+            intervals[figure] = interval
+    return PresetRow(preset, method, report.mean, intervals)
 
 
 def markdown(rows: Sequence[PresetRow], options: PresetOptions) -> str:
@@ -99,8 +118,8 @@ def markdown(rows: Sequence[PresetRow], options: PresetOptions) -> str:
     head = ["preset", "method", *(heading for heading, _, _ in COLUMNS.values())]
     lines = [
         f"{options.scenes} scenes of each preset at {options.width}x{options.height}, seed {options.seed}, means per "
-        "image and 95 % bootstrap intervals over the scenes. Seeds and textures are kept apart from those of training "
-        "and validation.",
+        "image (of 'all pixels': over those of all images) and 95 % bootstrap intervals over the scenes. Seeds and "
+        "textures are kept apart from those of training and validation.",
         "",
         "| " + " | ".join(head) + " |",
         "|" + "---|" * len(head),
