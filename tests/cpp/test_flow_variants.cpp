@@ -50,8 +50,7 @@ TEST(FlowVariants, StayWithinTheBudgetAtFullSize) {
     EXPECT_LE(2e-9 * static_cast<double>(count_macs(config, 240, 320)), 7.0) << label(config);
   }
   // A skip connection has channels x channels weights and a bias each; a head 3 x 3 x channels x 4 weights, 4 biases.
-  EXPECT_EQ(count_parameters(variant(1, 0, 0)) - count_parameters(NetConfig{}),
-            (32 * 32 + 32) + (64 * 64 + 64));
+  EXPECT_EQ(count_parameters(variant(1, 0, 0)) - count_parameters(NetConfig{}), (32 * 32 + 32) + (64 * 64 + 64));
   EXPECT_EQ(count_macs(variant(1, 0, 0), 240, 320) - count_macs(NetConfig{}, 240, 320),
             32 * 32 * 120 * 160 + 64 * 64 * 60 * 80);
   EXPECT_EQ(count_parameters(variant(0, 1, 0)) - count_parameters(NetConfig{}), (9 * 64 * 4 + 4) + (9 * 32 * 4 + 4));

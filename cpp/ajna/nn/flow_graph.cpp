@@ -41,14 +41,12 @@ void check_config(const NetConfig& c) {
           c.correlation_radius, "give 0, or at least 1 sub-block and an even number of input channels");
 }
 
-/// Encoder layers whose outputs are carried to the decoder: those of 1/2 and 1/4 of the size, where outlines are. One of
-/// 1/8 would quadruple the weights of all connections.
+/// Encoder layers whose outputs are carried to the decoder: those of 1/2 and 1/4 of the size, where outlines are. One
+/// of 1/8 would quadruple the weights of all connections.
 constexpr std::int64_t kCarried = 2;
 
 /// The decoder begins with the encoder's smallest output, so that one is never carried.
-std::int64_t carried_layers(const NetConfig& config) {
-  return std::min(kCarried, 1 + config.sub_blocks);
-}
+std::int64_t carried_layers(const NetConfig& config) { return std::min(kCarried, 1 + config.sub_blocks); }
 
 Tensor enlarged(const Tensor& x) {
   return torch::upsample_bilinear2d(x, c10::nullopt, /*align_corners=*/false, std::vector<double>{2.0, 2.0});
